@@ -1,7 +1,11 @@
 //! Benchmarks of the stages of a picture on the CPU: building a map, classifying empty space,
 //! rendering undeformed and deformed.
 #![allow(missing_docs, reason = "criterion's macros")]
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a benchmark that cannot set up should stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a benchmark that cannot set up should stop"
+)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use incise::cpu;
@@ -18,14 +22,22 @@ fn scene(deformation: Option<&str>) -> Scene {
 
 fn stages(c: &mut Criterion) {
     let assets = Assets::load(&scene(None)).expect("a phantom");
-    for (name, deformation) in [("undeformed", None), ("twist", Some("twist")), ("peel", Some("peel"))] {
+    for (name, deformation) in [
+        ("undeformed", None),
+        ("twist", Some("twist")),
+        ("peel", Some("peel")),
+    ] {
         for mode in [Mode::Raycast, Mode::Slice] {
             let mut scene = scene(deformation);
             scene.render.mode = mode;
             let prepared = Prepared::new(&scene, &assets).expect("a scene");
-            c.bench_function(&format!("render/{name}/{mode:?}").to_lowercase(), |b| b.iter(|| cpu::render(&prepared)));
+            c.bench_function(&format!("render/{name}/{mode:?}").to_lowercase(), |b| {
+                b.iter(|| cpu::render(&prepared))
+            });
         }
-        c.bench_function(&format!("prepare/{name}"), |b| b.iter(|| Prepared::new(&scene(deformation), &assets).map(|p| p.volume().macrocells.size)));
+        c.bench_function(&format!("prepare/{name}"), |b| {
+            b.iter(|| Prepared::new(&scene(deformation), &assets).map(|p| p.volume().macrocells.size))
+        });
     }
 }
 

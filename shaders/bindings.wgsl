@@ -95,7 +95,8 @@ fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>, per_size: v
 
 // The normalised value at a position in voxels.
 fn sample_volume(p: vec3<f32>) -> f32 {
-    return sample_texture(volume, p, frame.texture_size, frame.per_texture_size).r * frame.value_scale + frame.value_offset;
+    return sample_texture(volume, p, frame.texture_size, frame.per_texture_size).r * frame.value_scale
+        + frame.value_offset;
 }
 
 // f(+1) - f(-1) along i, j, k of the stored values, as fractions of 32767, and the normalised
@@ -136,7 +137,12 @@ fn table_entry(i: i32, row: i32) -> vec4<f32> {
 // Indexed by the table coordinates of the segment's two ends.
 fn preintegrated_entry(front: f32, back: f32) -> vec4<f32> {
     let size = vec2<f32>(textureDimensions(preintegrated));
-    return textureSampleLevel(preintegrated, linear_clamp, (clamp(vec2<f32>(back, front), vec2<f32>(0.0), vec2<f32>(1.0)) * (size - 1.0) + 0.5) / size, 0.0);
+    return textureSampleLevel(
+        preintegrated,
+        linear_clamp,
+        (clamp(vec2<f32>(back, front), vec2<f32>(0.0), vec2<f32>(1.0)) * (size - 1.0) + 0.5) / size,
+        0.0,
+    );
 }
 
 fn cell_block(cell: vec3<i32>) -> u32 {

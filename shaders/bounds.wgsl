@@ -18,7 +18,9 @@ struct Level {
 
 fn nothing() -> NodeBounds {
     let high = vec4<f32>(3e38);
-    return NodeBounds(high, -high, array<vec4<f32>, 3>(high, high, high), array<vec4<f32>, 3>(-high, -high, -high));
+    return NodeBounds(
+        high, -high, array<vec4<f32>, 3>(high, high, high), array<vec4<f32>, 3>(-high, -high, -high)
+    );
 }
 
 @compute @workgroup_size(4, 4, 4)
@@ -45,7 +47,8 @@ fn leaves(@builtin(global_invocation_id) id: vec3<u32>) {
                         low[axis] = min(at[axis], points[axis] - 2u);
                         var high = low;
                         high[axis] += 1u;
-                        change = (textureLoad(map, high, 0) - textureLoad(map, low, 0)) * f32(points[axis] - 1u);
+                        change = (textureLoad(map, high, 0) - textureLoad(map, low, 0))
+                            * f32(points[axis] - 1u);
                     }
                     all.slope_low[axis] = min(all.slope_low[axis], change);
                     all.slope_high[axis] = max(all.slope_high[axis], change);

@@ -107,7 +107,9 @@ fn transformed(m: mat4x4<f32>, b: Box) -> Box {
 
 fn no_displacement() -> AffineEnclosure {
     let none = mat3x3<f32>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
-    return AffineEnclosure(Box(vec3<f32>(0.0), vec3<f32>(0.0)), vec2<f32>(1.0), vec3<f32>(0.0), none, none, vec3<f32>(0.0));
+    return AffineEnclosure(
+        Box(vec3<f32>(0.0), vec3<f32>(0.0)), vec2<f32>(1.0), vec3<f32>(0.0), none, none, vec3<f32>(0.0)
+    );
 }
 
 fn reach_of(k: u32) -> Box {
@@ -251,7 +253,10 @@ fn source_is_visible(source: Box, whole: bool, max_alpha: f32) -> bool {
     if max_alpha < 0.5 {
         return false;
     }
-    let inside = overlap(grown(transformed(grid.voxel_from_world, source), vec3<f32>(0.01)), Box(grid.voxel_low, grid.voxel_high));
+    let inside = overlap(
+        grown(transformed(grid.voxel_from_world, source), vec3<f32>(0.01)),
+        Box(grid.voxel_low, grid.voxel_high),
+    );
     if is_empty(inside) {
         return false;
     }
@@ -292,7 +297,12 @@ fn box_visibility(b: Box) -> BoxContents {
             together = no_displacement();
         }
     }
-    return BoxContents(source_is_visible(grown(at, vec3<f32>(grid.precompose_error_mm)), distance_range.x >= 0.0 && alpha.x >= 0.5, alpha.y), alpha.x < 1.0);
+    return BoxContents(
+        source_is_visible(
+            grown(at, vec3<f32>(grid.precompose_error_mm)), distance_range.x >= 0.0 && alpha.x >= 0.5, alpha.y
+        ),
+        alpha.x < 1.0,
+    );
 }
 
 fn cell_is_visible(cell: Box) -> bool {

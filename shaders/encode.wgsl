@@ -10,7 +10,9 @@
 // bits after the leading one, ties to even, and below 2^-14 multiples of 2^-24.
 fn nearest_half(v: vec4<f32>) -> vec4<f32> {
     let bits = bitcast<vec4<u32>>(v);
-    let rounded = bitcast<vec4<f32>>((bits + vec4<u32>(0xFFFu) + ((bits >> vec4<u32>(13u)) & vec4<u32>(1u))) & vec4<u32>(0xFFFFE000u));
+    let rounded = bitcast<vec4<f32>>(
+        (bits + vec4<u32>(0xFFFu) + ((bits >> vec4<u32>(13u)) & vec4<u32>(1u))) & vec4<u32>(0xFFFFE000u)
+    );
     return select(rounded, round(v * 16777216.0) / 16777216.0, abs(v) < vec4<f32>(1.0 / 16384.0));
 }
 

@@ -28,5 +28,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let value = sample_volume(in_voxel);
     let g = gradient(in_voxel);
     let m = j.d_source_d_deformed;
-    probes[id.x] = Probe(j.source, j.alpha, m[0], j.cut.distance_mm, m[1], value, m[2], lookup(value).a, j.cut.normal, g.x, g.yz, vec2<f32>(0.0));
+    probes[id.x] = Probe(
+        j.source,
+        j.alpha,
+        m[0],
+        j.cut.distance_mm,
+        m[1],
+        value,
+        m[2],
+        lookup(value).a,
+        j.cut.normal,
+        g.x,
+        g.yz,
+        vec2<f32>(0.0),
+    );
 }

@@ -27,10 +27,16 @@ fn grid_coordinate(i: u32, points: u32) -> f32 {
 fn sample(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) first: u32) {
     var bits = 0u;
     if all(id < definition.size) {
-        let x = vec3<f32>(grid_coordinate(id.x, definition.size.x), grid_coordinate(id.y, definition.size.y), grid_coordinate(id.z, definition.size.z));
+        let x = vec3<f32>(
+            grid_coordinate(id.x, definition.size.x),
+            grid_coordinate(id.y, definition.size.y),
+            grid_coordinate(id.z, definition.size.z),
+        );
         let local = (x - 0.5) * definition.cube_mm;
         let b = backward_of(local);
-        var t = vec4<f32>((b.xyz - local) / definition.cube_mm, clamp(0.5 + 0.5 * b.w / definition.ramp_mm, 0.0, 1.0));
+        var t = vec4<f32>(
+            (b.xyz - local) / definition.cube_mm, clamp(0.5 + 0.5 * b.w / definition.ramp_mm, 0.0, 1.0)
+        );
         // A value that is not finite becomes no displacement and mask 0. Compared by bits, because
         // a shader need not support infinities.
         if any((bitcast<vec4<u32>>(t) & vec4<u32>(0x7F800000u)) == vec4<u32>(0x7F800000u)) {

@@ -34,7 +34,9 @@ fn fragment(slab: Slab) -> @location(0) vec4<f32> {
         end = select(first, min(end, first_sample_after(range.y, step)), range.x <= range.y);
     }
     if BEHIND != 0u {
-        end = min(end, first_sample_after(textureLoad(behind_t, vec2<i32>(slab.position.xy), 0).r - shift, step));
+        end = min(
+            end, first_sample_after(textureLoad(behind_t, vec2<i32>(slab.position.xy), 0).r - shift, step)
+        );
     }
     let all = composite(slab.position.xy, ray, first, end, step);
     if BLEND == BLEND_COMPOSITE {
@@ -42,6 +44,13 @@ fn fragment(slab: Slab) -> @location(0) vec4<f32> {
     }
     // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether
     // a value is present, or how many are.
-    let value = select(-1e4, select(all.projected, -all.projected, BLEND == BLEND_MINIP), all.present_count > 0.0);
-    return vec4<f32>(select(value, all.projected, BLEND == BLEND_AVERAGE), select(min(all.present_count, 1.0), all.present_count, BLEND == BLEND_AVERAGE), 0.0, 0.0);
+    let value = select(
+        -1e4, select(all.projected, -all.projected, BLEND == BLEND_MINIP), all.present_count > 0.0
+    );
+    return vec4<f32>(
+        select(value, all.projected, BLEND == BLEND_AVERAGE),
+        select(min(all.present_count, 1.0), all.present_count, BLEND == BLEND_AVERAGE),
+        0.0,
+        0.0,
+    );
 }

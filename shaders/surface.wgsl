@@ -15,7 +15,9 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Drawn {
     var color = vec3<f32>(0.0);
     if event.t >= 0.0 {
         let p = ray.origin + ray.direction * event.t;
-        let own = select(select(object.inside, object.color, event.side == OUTSIDE), object.cut, event.side == CUT_FACE);
+        let own = select(
+            select(object.inside, object.color, event.side == OUTSIDE), object.cut, event.side == CUT_FACE
+        );
         color = surface_light(surface_normal(p, event.side), ray.direction, own);
     }
     var t = event.t;
@@ -30,7 +32,9 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Drawn {
                 color = select(color, drawn, drawn_t < t);
                 t = min(t, drawn_t);
             } else {
-                let weight = smoothstep(0.0, object.seam_mm, depth_in_boxes(ray.origin + ray.direction * drawn_t));
+                let weight = smoothstep(
+                    0.0, object.seam_mm, depth_in_boxes(ray.origin + ray.direction * drawn_t)
+                );
                 color = mix(drawn, color, weight);
                 t = mix(drawn_t, t, weight);
             }

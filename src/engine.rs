@@ -72,7 +72,9 @@ pub enum Quality {
 impl Quality {
     /// The scene as rendered at this quality.
     fn of(self, scene: &Scene) -> Cow<'_, Scene> {
-        let Self::Draft { scale } = self else { return Cow::Borrowed(scene) };
+        let Self::Draft { scale } = self else {
+            return Cow::Borrowed(scene);
+        };
         let mut draft = scene.clone();
         draft.render.size = draft.render.size.map(|n| ((n as f32 / scale) as u32).max(16));
         draft.render.step = (draft.render.step * if scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
@@ -94,7 +96,11 @@ pub struct RenderRequest<'a> {
 
 impl Default for RenderRequest<'_> {
     fn default() -> Self {
-        Self { quality: Quality::Full, count_samples: false, watch: Watch::NONE }
+        Self {
+            quality: Quality::Full,
+            count_samples: false,
+            watch: Watch::NONE,
+        }
     }
 }
 
@@ -113,7 +119,12 @@ pub struct DeviceInfo {
 
 impl DeviceInfo {
     fn cpu() -> Self {
-        Self { is_gpu: false, is_software: false, name: format!("CPU, {} threads", rayon::current_num_threads()), details: Value::Null }
+        Self {
+            is_gpu: false,
+            is_software: false,
+            name: format!("CPU, {} threads", rayon::current_num_threads()),
+            details: Value::Null,
+        }
     }
 
     /// `gpu` or `cpu`.
@@ -148,7 +159,13 @@ impl AssetCache {
             return Ok(assets.clone());
         }
         let previous = self.0.as_ref().map(|(_, assets)| &**assets);
-        let assets = Arc::new(Assets::load_with(scene, &LoadOptions { previous: previous.or(options.previous), ..*options })?);
+        let assets = Arc::new(Assets::load_with(
+            scene,
+            &LoadOptions {
+                previous: previous.or(options.previous),
+                ..*options
+            },
+        )?);
         self.0 = Some((key, assets.clone()));
         Ok(assets)
     }
@@ -177,7 +194,10 @@ impl Engine {
 
     /// The CPU.
     pub fn cpu() -> Self {
-        Self::closed(EngineOptions { backend: Backend::Cpu, ..EngineOptions::default() })
+        Self::closed(EngineOptions {
+            backend: Backend::Cpu,
+            ..EngineOptions::default()
+        })
     }
 
     /// Opens the backend that the options request.
@@ -261,7 +281,12 @@ impl Engine {
     /// # Errors
     /// Any setting that cannot be used, by name; [`Error::Cancelled`]; GPU errors, if the options
     /// are strict.
-    pub fn picture<'a>(&mut self, scene: &Scene, assets: &'a Assets, request: &RenderRequest) -> Result<ScenePicture<'a>> {
+    pub fn picture<'a>(
+        &mut self,
+        scene: &Scene,
+        assets: &'a Assets,
+        request: &RenderRequest,
+    ) -> Result<ScenePicture<'a>> {
         let scene = request.quality.of(scene);
         let on_gpu = self.picture_on_gpu(&scene, assets, request)?;
         let over_limit = match on_gpu {
@@ -272,7 +297,11 @@ impl Engine {
         let prepared = Prepared::with(&scene, assets, &PrepareOptions::default().watched(&request.watch))?;
         let mut rendered = cpu::render_watched(&prepared, &request.watch)?;
         rendered.notices.extend(over_limit);
-        Ok(ScenePicture { prepared, rendered, device: DeviceInfo::cpu() })
+        Ok(ScenePicture {
+            prepared,
+            rendered,
+            device: DeviceInfo::cpu(),
+        })
     }
 
     /// Resolves a scene on the device that will render it.
@@ -317,7 +346,10 @@ impl Engine {
 }
 
 /// The outcome of a request on the GPU.
-#[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "without a GPU every picture is the CPU's"))]
+#[cfg_attr(
+    not(feature = "gpu"),
+    allow(dead_code, reason = "without a GPU every picture is the CPU's")
+)]
 enum Attempt<'a> {
     Done(Box<ScenePicture<'a>>),
     /// The CPU has to render this picture, for the reason given in its notices, if any.
@@ -326,7 +358,12 @@ enum Attempt<'a> {
 
 #[cfg(feature = "gpu")]
 fn gpu_info(renderer: &Renderer) -> DeviceInfo {
-    DeviceInfo { is_gpu: true, is_software: renderer.device().is_software(), name: renderer.device().info(), details: renderer.device().report() }
+    DeviceInfo {
+        is_gpu: true,
+        is_software: renderer.device().is_software(),
+        name: renderer.device().info(),
+        details: renderer.device().report(),
+    }
 }
 
 #[cfg(feature = "gpu")]
@@ -340,7 +377,9 @@ impl Engine {
         };
         let start = std::time::Instant::now();
         let device = Device::open_async(want).await?;
-        self.setup.0.push(("gpu setup", start.elapsed().as_secs_f64() * 1e3));
+        self.setup
+            .0
+            .push(("gpu setup", start.elapsed().as_secs_f64() * 1e3));
         let mut renderer = Renderer::new(device);
         renderer.time_passes(self.options.time_passes);
         self.gpu = Some(renderer);
@@ -356,25 +395,39 @@ impl Engine {
         }
     }
 
-    fn picture_on_gpu<'a>(&mut self, scene: &Scene, assets: &'a Assets, request: &RenderRequest) -> Result<Attempt<'a>> {
+    fn picture_on_gpu<'a>(
+        &mut self,
+        scene: &Scene,
+        assets: &'a Assets,
+        request: &RenderRequest,
+    ) -> Result<Attempt<'a>> {
         for reopen in [true, false] {
             let Some(renderer) = &mut self.gpu else { break };
             let attempt = if renderer.device().is_lost() {
                 Err(Error::Gpu("the device was lost".into()))
             } else {
                 let attempt = || -> Result<_> {
-                    let prepared = Prepared::with(scene, assets, &PrepareOptions::on(renderer).watched(&request.watch))?;
+                    let prepared = Prepared::with(
+                        scene,
+                        assets,
+                        &PrepareOptions::on(renderer).watched(&request.watch),
+                    )?;
                     let rendered = renderer.render(&prepared, request.count_samples, &request.watch)?;
                     Ok((prepared, rendered))
                 };
                 // If the device is lost in the middle of a picture, the first call to notice may be
                 // one that cannot report it.
-                std::panic::catch_unwind(std::panic::AssertUnwindSafe(attempt)).unwrap_or_else(|_| Err(Error::Gpu("the driver failed".into())))
+                std::panic::catch_unwind(std::panic::AssertUnwindSafe(attempt))
+                    .unwrap_or_else(|_| Err(Error::Gpu("the driver failed".into())))
             };
             match attempt {
                 Ok((prepared, mut rendered)) => {
                     rendered.stages.0.splice(0..0, std::mem::take(&mut self.setup).0);
-                    return Ok(Attempt::Done(Box::new(ScenePicture { prepared, rendered, device: gpu_info(renderer) })));
+                    return Ok(Attempt::Done(Box::new(ScenePicture {
+                        prepared,
+                        rendered,
+                        device: gpu_info(renderer),
+                    })));
                 }
                 Err(Error::Gpu(problem)) if !self.options.strict => {
                     self.gpu = None;
@@ -382,12 +435,15 @@ impl Engine {
                         Some(Ok(())) => "incise reconnected",
                         _ => "pictures are now rendered on the CPU",
                     };
-                    self.warnings.push(format!("the GPU stopped responding ({problem}); {outcome}"));
+                    self.warnings
+                        .push(format!("the GPU stopped responding ({problem}); {outcome}"));
                     self.fallback = self.gpu.is_none().then_some(Error::Gpu(problem));
                 }
                 // The GPU may be able to render the next scene.
                 Err(error @ Error::GpuLimit(_)) if !self.options.strict => {
-                    return Ok(Attempt::Cpu(Some(format!("this picture was rendered on the CPU ({error})"))));
+                    return Ok(Attempt::Cpu(Some(format!(
+                        "this picture was rendered on the CPU ({error})"
+                    ))));
                 }
                 Err(error) => return Err(error),
             }
@@ -400,12 +456,19 @@ impl Engine {
 impl Engine {
     async fn open_gpu(&mut self) -> Result<()> {
         match self.options.backend {
-            Backend::Gpu => Err(Error::Gpu("this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into())),
+            Backend::Gpu => Err(Error::Gpu(
+                "this build has no GPU renderer; use --backend cpu, or build with the feature `gpu`".into(),
+            )),
             Backend::Auto | Backend::Cpu => Ok(()),
         }
     }
 
-    fn picture_on_gpu<'a>(&mut self, _scene: &Scene, _assets: &'a Assets, _request: &RenderRequest) -> Result<Attempt<'a>> {
+    fn picture_on_gpu<'a>(
+        &mut self,
+        _scene: &Scene,
+        _assets: &'a Assets,
+        _request: &RenderRequest,
+    ) -> Result<Attempt<'a>> {
         Ok(Attempt::Cpu(None))
     }
 }

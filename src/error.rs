@@ -59,22 +59,35 @@ impl Error {
         use std::io::ErrorKind as K;
         let hint = match source.kind() {
             K::NotFound => "; check the path",
-            K::PermissionDenied | K::ReadOnlyFilesystem => "; choose a place that can be written, or change the permissions",
+            K::PermissionDenied | K::ReadOnlyFilesystem => {
+                "; choose a place that can be written, or change the permissions"
+            }
             _ => "",
         };
-        Self::Io { path: path.to_owned(), doing, source, hint }
+        Self::Io {
+            path: path.to_owned(),
+            doing,
+            source,
+            hint,
+        }
     }
 
     /// An [`Error::File`].
     pub fn file(path: &Path, problem: impl Into<String>) -> Self {
-        Self::File { path: path.to_owned(), problem: problem.into() }
+        Self::File {
+            path: path.to_owned(),
+            problem: problem.into(),
+        }
     }
 
     /// The same error inside a named part: `peel: radius: ...`.
     #[must_use]
     pub fn within(self, part: &str) -> Self {
         match self {
-            Self::Value { name, problem } => Self::Value { name: format!("{part}: {name}"), problem },
+            Self::Value { name, problem } => Self::Value {
+                name: format!("{part}: {name}"),
+                problem,
+            },
             other => other,
         }
     }
@@ -82,24 +95,42 @@ impl Error {
     /// The same without line breaks and other control characters, which quoted text from a damaged
     /// file may contain.
     pub fn printable(self) -> Self {
-        let plain = |text: String| if text.contains(char::is_control) { text.replace(char::is_control, " ") } else { text };
+        let plain = |text: String| {
+            if text.contains(char::is_control) {
+                text.replace(char::is_control, " ")
+            } else {
+                text
+            }
+        };
         match self {
-            Self::File { path, problem } => Self::File { path, problem: plain(problem) },
-            Self::Value { name, problem } => Self::Value { name, problem: plain(problem) },
+            Self::File { path, problem } => Self::File {
+                path,
+                problem: plain(problem),
+            },
+            Self::Value { name, problem } => Self::Value {
+                name,
+                problem: plain(problem),
+            },
             other => other,
         }
     }
 
     /// An [`Error::Value`].
     pub fn value(name: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self::Value { name: name.into(), problem: problem.into() }
+        Self::Value {
+            name: name.into(),
+            problem: problem.into(),
+        }
     }
 }
 
 /// `; did you mean "peel"?` for the closest of `valid_names`, or the list of them if none is close.
 pub(crate) fn suggestion<'a>(word: &str, valid_names: impl IntoIterator<Item = &'a str>) -> String {
     let valid_names: Vec<&str> = valid_names.into_iter().collect();
-    let closest = valid_names.iter().map(|k| (strsim::normalized_damerau_levenshtein(word, k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+    let closest = valid_names
+        .iter()
+        .map(|k| (strsim::normalized_damerau_levenshtein(word, k), k))
+        .max_by(|a, b| a.0.total_cmp(&b.0));
     match closest {
         Some((score, k)) if score >= 0.4 => format!("did you mean \"{k}\"?"),
         _ => format!("known: {}", valid_names.join(", ")),

@@ -49,8 +49,13 @@ fn install() {
 }
 
 fn line(info: &PanicHookInfo) -> String {
-    let place = info.location().map_or_else(String::new, |l| format!(" at {}:{}", l.file(), l.line()));
-    let what = info.payload_as_str().unwrap_or("an unknown fault").replace(char::is_control, " ");
+    let place = info
+        .location()
+        .map_or_else(String::new, |l| format!(" at {}:{}", l.file(), l.line()));
+    let what = info
+        .payload_as_str()
+        .unwrap_or("an unknown fault")
+        .replace(char::is_control, " ");
     format!("internal error{place}: {what}; please report it, with the command and the scene")
 }
 

@@ -92,9 +92,15 @@ impl Picture {
         let average = |index: u32| -> [f32; 4] {
             let (x, y) = ((index % width * n) as usize, (index / width * n) as usize);
             let all = (0..n as usize).flat_map(|j| &self.pixels[(y + j) * row + x..][..n as usize]);
-            all.fold([0.0; 4], |sum: [f32; 4], p| std::array::from_fn(|c| sum[c] + p[c] / (n * n) as f32))
+            all.fold([0.0; 4], |sum: [f32; 4], p| {
+                std::array::from_fn(|c| sum[c] + p[c] / (n * n) as f32)
+            })
         };
-        Self { width, height, pixels: (0..width * height).map(average).collect() }
+        Self {
+            width,
+            height,
+            pixels: (0..width * height).map(average).collect(),
+        }
     }
 
     /// The picture over a background as PNG: 8 bits per channel, RGB if the background is opaque,
@@ -127,7 +133,16 @@ impl Picture {
         let [r, g, b, back_alpha] = background;
         let behind = [r * back_alpha, g * back_alpha, b * back_alpha, back_alpha];
         let mut bytes = vec![[0; 4]; self.pixels.len()];
-        bytes.par_chunks_mut(1 << 14).zip(self.pixels.par_chunks(1 << 14)).for_each(|(bytes, pixels)| with_simd(Over { behind, pixels, bytes }));
+        bytes
+            .par_chunks_mut(1 << 14)
+            .zip(self.pixels.par_chunks(1 << 14))
+            .for_each(|(bytes, pixels)| {
+                with_simd(Over {
+                    behind,
+                    pixels,
+                    bytes,
+                })
+            });
         bytes.into_flattened()
     }
 }
@@ -160,7 +175,9 @@ impl SimdKernel for Over<'_> {
         for (byte, pixel) in self.bytes.iter_mut().zip(self.pixels) {
             let all = behind * (1.0 - pixel[3]) + f32x4::load_array(simd, *pixel);
             let alpha = all[3].max(1e-6);
-            let share = (all / f32x4::load_array(simd, [alpha, alpha, alpha, 1.0])).max(0.0).min(1.0);
+            let share = (all / f32x4::load_array(simd, [alpha, alpha, alpha, 1.0]))
+                .max(0.0)
+                .min(1.0);
             let [r, g, b, a] = (share * 255.0 + 0.5).to_int::<i32x4<S>>().to_array();
             *byte = [r as u8, g as u8, b as u8, a as u8];
         }
@@ -173,8 +190,15 @@ mod tests {
 
     #[test]
     fn background_shows_where_the_picture_does_not() {
-        let picture = Picture { width: 2, height: 1, pixels: vec![[0.5, 0.0, 0.0, 0.5], [0.0; 4]] };
-        assert_eq!(picture.over([0.0, 0.0, 1.0, 1.0]), [128, 0, 128, 255, 0, 0, 255, 255]);
+        let picture = Picture {
+            width: 2,
+            height: 1,
+            pixels: vec![[0.5, 0.0, 0.0, 0.5], [0.0; 4]],
+        };
+        assert_eq!(
+            picture.over([0.0, 0.0, 1.0, 1.0]),
+            [128, 0, 128, 255, 0, 0, 255, 255]
+        );
         assert_eq!(picture.over([0.0; 4]), [255, 0, 0, 128, 0, 0, 0, 0]);
     }
 }

@@ -17,13 +17,19 @@ static NEVER_CANCELLED: AtomicBool = AtomicBool::new(false);
 
 impl Watch<'static> {
     /// Discards progress and never cancels.
-    pub const NONE: Self = Self { progress: &|_| (), cancel: &NEVER_CANCELLED };
+    pub const NONE: Self = Self {
+        progress: &|_| (),
+        cancel: &NEVER_CANCELLED,
+    };
 }
 
 impl<'a> Watch<'a> {
     /// Reports to `progress` and never cancels.
     pub fn reporting(progress: &'a (dyn Fn(f32) + Sync)) -> Self {
-        Self { progress, cancel: &NEVER_CANCELLED }
+        Self {
+            progress,
+            cancel: &NEVER_CANCELLED,
+        }
     }
 
     /// Whether the work has been cancelled.
@@ -36,7 +42,11 @@ impl<'a> Watch<'a> {
     /// # Errors
     /// [`Error::Cancelled`].
     pub fn check(&self) -> Result<()> {
-        if self.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() {
+            Err(Error::Cancelled)
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -50,7 +60,11 @@ pub struct ByteProgress<'a> {
 impl<'a> ByteProgress<'a> {
     /// Starts at zero of `all` bytes.
     pub fn new(watch: &'a Watch<'a>, all: u64) -> Self {
-        Self { watch, done: AtomicU64::new(0), all: all.max(1) }
+        Self {
+            watch,
+            done: AtomicU64::new(0),
+            all: all.max(1),
+        }
     }
 
     /// Counts more bytes.

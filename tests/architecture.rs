@@ -14,16 +14,56 @@ const ORDER: [(&str, &[&str]); 18] = [
     ("mesh", &["files", "math", "volume"]),
     ("transfer", &["files", "math", "volume"]),
     ("deform", &["files", "math", "volume"]),
-    ("scene", &["files", "math", "volume", "picture", "mesh", "transfer", "deform"]),
-    ("prepare", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene"]),
-    ("cpu", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare"]),
+    (
+        "scene",
+        &["files", "math", "volume", "picture", "mesh", "transfer", "deform"],
+    ),
+    (
+        "prepare",
+        &[
+            "files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene",
+        ],
+    ),
+    (
+        "cpu",
+        &[
+            "files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare",
+        ],
+    ),
     ("gpu", &["files", "math"]),
-    ("render", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "gpu"]),
+    (
+        "render",
+        &[
+            "files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "gpu",
+        ],
+    ),
     ("engine", &["scene", "picture", "prepare", "cpu", "gpu", "render"]),
-    ("export", &["files", "math", "volume", "picture", "deform", "scene", "prepare", "engine"]),
-    ("compare", &["files", "math", "volume", "picture", "scene", "prepare", "engine", "export"]),
-    ("cli", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "engine", "export", "compare"]),
-    ("gui", &["files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "cpu", "engine", "export", "compare"]),
+    (
+        "export",
+        &[
+            "files", "math", "volume", "picture", "deform", "scene", "prepare", "engine",
+        ],
+    ),
+    (
+        "compare",
+        &[
+            "files", "math", "volume", "picture", "scene", "prepare", "engine", "export",
+        ],
+    ),
+    (
+        "cli",
+        &[
+            "files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "engine",
+            "export", "compare",
+        ],
+    ),
+    (
+        "gui",
+        &[
+            "files", "math", "volume", "picture", "mesh", "transfer", "deform", "scene", "prepare", "cpu",
+            "engine", "export", "compare",
+        ],
+    ),
     ("model", &[]),
 ];
 
@@ -52,7 +92,13 @@ fn root() -> PathBuf {
 /// The code of a file before its tests, with comments removed and strings emptied.
 fn code(path: &Path) -> String {
     let text = std::fs::read_to_string(path).unwrap();
-    let text = text.split("#[cfg(test)]\nmod tests").next().unwrap().split("#[cfg(test)]\npub(super) mod tests").next().unwrap();
+    let text = text
+        .split("#[cfg(test)]\nmod tests")
+        .next()
+        .unwrap()
+        .split("#[cfg(test)]\npub(super) mod tests")
+        .next()
+        .unwrap();
     let mut out = String::with_capacity(text.len());
     let mut chars = text.chars().peekable();
     while let Some(c) = chars.next() {
@@ -114,7 +160,10 @@ fn expanded(tree: &str) -> Vec<String> {
     }
     parts.push(part);
     let named = parts.iter().filter(|p| !p.trim().is_empty());
-    named.flat_map(|p| expanded(p)).map(|p| format!("{prefix}{p}")).collect()
+    named
+        .flat_map(|p| expanded(p))
+        .map(|p| format!("{prefix}{p}"))
+        .collect()
 }
 
 /// The source as a graph: files by module, with the paths that each re-exports and uses.
@@ -132,7 +181,10 @@ impl House {
         let (mut all, mut named) = (BTreeMap::new(), BTreeMap::new());
         for path in files(&source, "rs") {
             let relative = path.strip_prefix(&source).unwrap().with_extension("");
-            let mut parts: Vec<String> = relative.iter().map(|p| p.to_string_lossy().into_owned()).collect();
+            let mut parts: Vec<String> = relative
+                .iter()
+                .map(|p| p.to_string_lossy().into_owned())
+                .collect();
             if parts.last().is_some_and(|p| p == "mod") {
                 parts.pop();
             }
@@ -146,7 +198,8 @@ impl House {
             let mut rest = code.as_str();
             while let Some(at) = rest.find("use ") {
                 let start = at == 0 || rest[..at].ends_with([' ', '\n']);
-                let is_public = rest[..at].trim_end_matches(' ').ends_with("pub") || rest[..at].trim_end_matches(' ').ends_with("pub(crate)");
+                let is_public = rest[..at].trim_end_matches(' ').ends_with("pub")
+                    || rest[..at].trim_end_matches(' ').ends_with("pub(crate)");
                 let tail = &rest[at + 4..];
                 let end = tail.find(';').unwrap_or(tail.len());
                 if start && !tail[..end].contains('(') {
@@ -161,7 +214,10 @@ impl House {
                     if code[..at].ends_with("::") {
                         continue;
                     }
-                    let path: String = code[at..].chars().take_while(|c| c.is_alphanumeric() || "_:".contains(*c)).collect();
+                    let path: String = code[at..]
+                        .chars()
+                        .take_while(|c| c.is_alphanumeric() || "_:".contains(*c))
+                        .collect();
                     paths.push((path.trim_end_matches(':').to_owned(), false));
                 }
             }
@@ -191,17 +247,32 @@ impl House {
         }
         let mut module = at.join("::");
         for part in parts {
-            let deeper = if module.is_empty() { part.to_owned() } else { format!("{module}::{part}") };
+            let deeper = if module.is_empty() {
+                part.to_owned()
+            } else {
+                format!("{module}::{part}")
+            };
             if self.files.contains_key(&deeper) {
                 module = deeper;
                 continue;
             }
             // An item that a folder's module re-exports is defined in a file below it.
-            let exported = self.named.get(&module).into_iter().flatten().filter(|(_, public)| *public);
+            let exported = self
+                .named
+                .get(&module)
+                .into_iter()
+                .flatten()
+                .filter(|(_, public)| *public);
             let found = exported
                 .clone()
                 .find(|(p, _)| p.rsplit("::").next() == Some(part))
-                .and_then(|(p, _)| if depth < 4 { self.defining(&module, p, depth + 1) } else { None });
+                .and_then(|(p, _)| {
+                    if depth < 4 {
+                        self.defining(&module, p, depth + 1)
+                    } else {
+                        None
+                    }
+                });
             return found.or(Some(module)).filter(|m| !m.is_empty());
         }
         Some(module).filter(|m| !m.is_empty())
@@ -212,10 +283,15 @@ impl House {
     fn arrows(&self) -> BTreeMap<&str, BTreeSet<String>> {
         let of = |(module, paths): (&'_ String, &Vec<(String, bool)>)| -> BTreeSet<String> {
             let targets = paths.iter().filter_map(|(p, _)| self.defining(module, p, 0));
-            let is_kin = |t: &String| t == module || module.starts_with(&format!("{t}::")) || t.starts_with(&format!("{module}::"));
+            let is_kin = |t: &String| {
+                t == module || module.starts_with(&format!("{t}::")) || t.starts_with(&format!("{module}::"))
+            };
             targets.filter(|t| !is_kin(t)).collect()
         };
-        self.named.iter().map(|entry| (entry.0.as_str(), of(entry))).collect()
+        self.named
+            .iter()
+            .map(|entry| (entry.0.as_str(), of(entry)))
+            .collect()
     }
 }
 
@@ -225,7 +301,10 @@ pub fn modules_name_only_those_before_them() {
     for (module, targets) in house.arrows() {
         let top = module.split("::").next().unwrap();
         let Some((_, allowed)) = ORDER.iter().find(|(name, _)| *name == top) else {
-            assert!(["error", "watch", "panic_guard"].contains(&top), "{module} is in no place of the order");
+            assert!(
+                ["error", "watch", "panic_guard"].contains(&top),
+                "{module} is in no place of the order"
+            );
             continue;
         };
         for target in targets {
@@ -238,11 +317,21 @@ pub fn modules_name_only_those_before_them() {
     }
     assert!(seen > 300, "the test sees only {seen} arrows");
     for file in files(&root().join("src"), "rs") {
-        let name = file.strip_prefix(root().join("src")).unwrap().to_string_lossy().into_owned();
+        let name = file
+            .strip_prefix(root().join("src"))
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
         let allowed = name.starts_with("gpu/") || name.starts_with("render/");
-        assert!(allowed || !code(&file).contains("wgpu::"), "{name}: wgpu outside gpu and render");
+        assert!(
+            allowed || !code(&file).contains("wgpu::"),
+            "{name}: wgpu outside gpu and render"
+        );
         let is_window = name.starts_with("gui/");
-        assert!(is_window || !code(&file).contains("egui"), "{name}: egui outside gui");
+        assert!(
+            is_window || !code(&file).contains("egui"),
+            "{name}: egui outside gui"
+        );
     }
 }
 
@@ -263,7 +352,13 @@ fn circles(arrows: &BTreeMap<&str, BTreeSet<String>>) -> Vec<BTreeSet<String>> {
     let mut found: Vec<BTreeSet<String>> = Vec::new();
     for (module, reach) in &all {
         if reach.contains(*module) && !found.iter().any(|c| c.contains(*module)) {
-            found.push(reach.iter().filter(|other| all.get(other.as_str()).is_some_and(|r| r.contains(*module))).cloned().collect());
+            found.push(
+                reach
+                    .iter()
+                    .filter(|other| all.get(other.as_str()).is_some_and(|r| r.contains(*module)))
+                    .cloned()
+                    .collect(),
+            );
         }
     }
     found
@@ -282,7 +377,16 @@ pub fn no_circles_between_files() {
     }
     // The check detects a cycle.
     let arrow = |to: &str| BTreeSet::from([to.to_owned()]);
-    assert_eq!(circles(&BTreeMap::from([("a", arrow("b")), ("b", arrow("c")), ("c", arrow("a")), ("d", arrow("a"))])).len(), 1);
+    assert_eq!(
+        circles(&BTreeMap::from([
+            ("a", arrow("b")),
+            ("b", arrow("c")),
+            ("c", arrow("a")),
+            ("d", arrow("a"))
+        ]))
+        .len(),
+        1
+    );
 }
 
 /// Readers open files, and writers create them, in one place, so that its guarantees hold for all.
@@ -309,14 +413,23 @@ pub fn only_one_module_opens_files() {
     ];
     let mut exceptions = 0;
     for file in files(&root().join("src"), "rs") {
-        let name = file.strip_prefix(root().join("src")).unwrap().to_string_lossy().into_owned();
+        let name = file
+            .strip_prefix(root().join("src"))
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
         if name.starts_with("files/") {
             continue;
         }
         let text = std::fs::read_to_string(&file).unwrap();
         let code = text.split("#[cfg(test)]").next().unwrap();
-        for line in code.lines().filter(|l| !l.trim_start().starts_with("//") && WORDS.iter().any(|w| l.replace("OutputFile::", "").contains(w))) {
-            let excepted = EXCEPTIONS.iter().any(|(of, word)| name == *of && line.contains(word));
+        for line in code.lines().filter(|l| {
+            !l.trim_start().starts_with("//")
+                && WORDS.iter().any(|w| l.replace("OutputFile::", "").contains(w))
+        }) {
+            let excepted = EXCEPTIONS
+                .iter()
+                .any(|(of, word)| name == *of && line.contains(word));
             assert!(excepted, "{name} opens a file itself: {line}");
             exceptions += 1;
         }
@@ -331,8 +444,15 @@ fn long_functions(path: &Path) -> Vec<(String, usize)> {
     let mut found = Vec::new();
     for (n, line) in lines.iter().enumerate() {
         let indent = line.len() - line.trim_start().len();
-        let word =
-            ["fn ", "pub fn ", "pub(super) fn ", "pub(crate) fn ", "pub(in crate::gui) fn "].iter().find_map(|w| line.trim_start().strip_prefix(w));
+        let word = [
+            "fn ",
+            "pub fn ",
+            "pub(super) fn ",
+            "pub(crate) fn ",
+            "pub(in crate::gui) fn ",
+        ]
+        .iter()
+        .find_map(|w| line.trim_start().strip_prefix(w));
         let Some(rest) = word else { continue };
         let end = format!("{}}}", " ".repeat(indent));
         if let Some(length) = lines[n..].iter().position(|l| **l == end)
@@ -346,7 +466,12 @@ fn long_functions(path: &Path) -> Vec<(String, usize)> {
 
 pub fn files_and_functions_are_of_readable_size() {
     let (mut long_files, mut functions) = (Vec::new(), Vec::new());
-    for (folder, extension) in [("src", "rs"), ("shaders", "wgsl"), ("tests", "rs"), ("benches", "rs")] {
+    for (folder, extension) in [
+        ("src", "rs"),
+        ("shaders", "wgsl"),
+        ("tests", "rs"),
+        ("benches", "rs"),
+    ] {
         for file in files(&root().join(folder), extension) {
             let name = file.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
             let lines = std::fs::read_to_string(&file).unwrap().lines().count();
@@ -355,26 +480,44 @@ pub fn files_and_functions_are_of_readable_size() {
             }
             // A test or a benchmark may be one long function.
             if matches!(folder, "src" | "shaders") {
-                functions.extend(long_functions(&file).into_iter().map(|(function, lines)| format!("{name}: {function} ({lines} lines)")));
+                functions.extend(
+                    long_functions(&file)
+                        .into_iter()
+                        .map(|(function, lines)| format!("{name}: {function} ({lines} lines)")),
+                );
             }
         }
     }
-    assert!(long_files.is_empty(), "files of more than {MAX_FILE_LINES} lines: {long_files:#?}");
-    assert!(functions.is_empty(), "functions of more than {MAX_FUNCTION_LINES} lines: {functions:#?}");
+    assert!(
+        long_files.is_empty(),
+        "files of more than {MAX_FILE_LINES} lines: {long_files:#?}"
+    );
+    assert!(
+        functions.is_empty(),
+        "functions of more than {MAX_FUNCTION_LINES} lines: {functions:#?}"
+    );
 }
 
 /// Names that say nothing to somebody who knows volume rendering.
-const OBSCURE_NAMES: &[&str] =
-    &["Habit", "Again", "Making", "Unaided", "UnderWay", "Looks", "kept", "kept_mm", "said", "tell", "asked", "nobody", "matter", "haze", "shades"];
+const OBSCURE_NAMES: &[&str] = &[
+    "Habit", "Again", "Making", "Unaided", "UnderWay", "Looks", "kept", "kept_mm", "said", "tell", "asked",
+    "nobody", "matter", "haze", "shades",
+];
 
 pub fn names_are_plain() {
     let mut seen = 0;
-    for file in files(&root().join("src"), "rs").into_iter().chain(files(&root().join("shaders"), "wgsl")) {
+    for file in files(&root().join("src"), "rs")
+        .into_iter()
+        .chain(files(&root().join("shaders"), "wgsl"))
+    {
         let name = file.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
         for word in code(&file).split(|c: char| !c.is_alphanumeric() && c != '_') {
             seen += 1;
             assert!(!OBSCURE_NAMES.contains(&word), "{name} has the name {word}");
-            assert!(!word.starts_with("MOST_") && !word.starts_with("LEAST_"), "{name}: {word} is a MAX_ or a MIN_");
+            assert!(
+                !word.starts_with("MOST_") && !word.starts_with("LEAST_"),
+                "{name}: {word} is a MAX_ or a MIN_"
+            );
         }
     }
     assert!(seen > 100_000, "the test sees only {seen} words");

@@ -11,7 +11,12 @@ pub use deformations::*;
 pub use meshes::*;
 
 fn incise(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_incise")).current_dir(folder).args(arguments).env_remove("DISPLAY").output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_incise"))
+        .current_dir(folder)
+        .args(arguments)
+        .env_remove("DISPLAY")
+        .output()
+        .unwrap()
 }
 
 fn stderr(output: &Output) -> String {
@@ -21,7 +26,10 @@ fn stderr(output: &Output) -> String {
 const CPU: [&str; 4] = ["--backend", "cpu", "--size", "48x40"];
 
 fn render(folder: &Path, arguments: &[&str]) -> Output {
-    incise(folder, &[&["render"], arguments, &["-o", "out.png"], &CPU[..2]].concat())
+    incise(
+        folder,
+        &[&["render"], arguments, &["-o", "out.png"], &CPU[..2]].concat(),
+    )
 }
 
 /// Writes scans and scenes that are damaged or wrong, and `good.nii`.
@@ -40,10 +48,19 @@ fn write_bad_input(folder: &Path) {
     }
     overflow.write(folder, "overflow.nii");
     scene("empty.toml", "");
-    scene("key.toml", "incise = 1\n[volume]\npath = \"good.nii\"\n[camera]\nzom = 1.0\n");
+    scene(
+        "key.toml",
+        "incise = 1\n[volume]\npath = \"good.nii\"\n[camera]\nzom = 1.0\n",
+    );
     scene("syntax.toml", "incise = = 1");
-    scene("range.toml", "incise = 1\n[volume]\npath = \"good.nii\"\n[[deformation]]\nkind = \"twist\"\nangle = 99999.0\n");
-    scene("matrix.toml", "incise = 1\n[volume]\npath = \"good.nii\"\n[[deformation]]\nkind = \"twist\"\nmatrix = [[1,0,0,0],[1,0,0,0],[0,0,1,0]]\n");
+    scene(
+        "range.toml",
+        "incise = 1\n[volume]\npath = \"good.nii\"\n[[deformation]]\nkind = \"twist\"\nangle = 99999.0\n",
+    );
+    scene(
+        "matrix.toml",
+        "incise = 1\n[volume]\npath = \"good.nii\"\n[[deformation]]\nkind = \"twist\"\nmatrix = [[1,0,0,0],[1,0,0,0],[0,0,1,0]]\n",
+    );
     scene("missing.toml", "incise = 1\n[volume]\npath = \"nowhere.nii\"\n");
     std::fs::write(folder.join("text.nii"), "this is no scan").unwrap();
 }
@@ -124,17 +141,35 @@ pub fn bad_input_is_named_and_leaves_no_file() {
     for (arguments, culprit) in cases {
         let output = render(f, arguments);
         let message = stderr(&output);
-        assert!(matches!(output.status.code(), Some(1 | 2)), "{arguments:?}: {:?} {message}", output.status);
+        assert!(
+            matches!(output.status.code(), Some(1 | 2)),
+            "{arguments:?}: {:?} {message}",
+            output.status
+        );
         assert!(message.contains(culprit), "{arguments:?}: {message}");
         assert!(!message.contains("panicked"), "{arguments:?}: {message}");
-        assert_eq!(std::fs::read_dir(f).unwrap().count(), before, "{arguments:?} left a file");
+        assert_eq!(
+            std::fs::read_dir(f).unwrap().count(),
+            before,
+            "{arguments:?} left a file"
+        );
     }
-    for (place, culprit) in
-        [("no/such/folder/out.png", "the folder no/such/folder does not exist"), (".", "."), ("out.jpg", "png"), ("/proc/out.png", "/proc/out.png")]
-    {
+    for (place, culprit) in [
+        (
+            "no/such/folder/out.png",
+            "the folder no/such/folder does not exist",
+        ),
+        (".", "."),
+        ("out.jpg", "png"),
+        ("/proc/out.png", "/proc/out.png"),
+    ] {
         let output = incise(f, &["render", "good.nii", "-o", place, "--backend", "cpu"]);
         assert_eq!(output.status.code(), Some(1), "{place}");
-        assert!(stderr(&output).contains(culprit) && stderr(&output).trim().lines().count() == 1, "{place}: {}", stderr(&output));
+        assert!(
+            stderr(&output).contains(culprit) && stderr(&output).trim().lines().count() == 1,
+            "{place}: {}",
+            stderr(&output)
+        );
     }
     check_holes(f);
 }
@@ -182,7 +217,14 @@ pub fn cpu_is_used_without_a_driver() {
     let folder = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_incise"))
         .current_dir(folder.path())
-        .args(["render", "phantom:ball:size=32", "-o", "ball.png", "--size", "32x32"])
+        .args([
+            "render",
+            "phantom:ball:size=32",
+            "-o",
+            "ball.png",
+            "--size",
+            "32x32",
+        ])
         .env_clear()
         .env("HOME", "/nonexistent")
         .env("VK_DRIVER_FILES", "/nonexistent")
@@ -194,8 +236,15 @@ pub fn cpu_is_used_without_a_driver() {
     let message = stderr(&output);
     assert!(output.status.success(), "{message}");
     let notices: Vec<&str> = message.lines().filter(|l| l.starts_with("incise")).collect();
-    assert!(cfg!(not(feature = "gpu")) || (notices.len() == 1 && notices[0].contains("CPU")), "{message}");
-    assert!(std::fs::read(folder.path().join("ball.png")).unwrap().starts_with(b"\x89PNG"));
+    assert!(
+        cfg!(not(feature = "gpu")) || (notices.len() == 1 && notices[0].contains("CPU")),
+        "{message}"
+    );
+    assert!(
+        std::fs::read(folder.path().join("ball.png"))
+            .unwrap()
+            .starts_with(b"\x89PNG")
+    );
 }
 
 pub fn stats_are_complete() {
@@ -220,9 +269,22 @@ pub fn stats_are_complete() {
         ],
     );
     assert!(o.status.success(), "{}", stderr(&o));
-    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(f.join("s.json")).unwrap()).unwrap();
-    for pointer in ["/samples/taken", "/samples/skipped", "/milliseconds/load", "/milliseconds/render", "/total_milliseconds"] {
-        assert!(report.pointer(pointer).and_then(serde_json::Value::as_f64).is_some_and(|v| v > 0.0), "{pointer} in {report:#}");
+    let report: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(f.join("s.json")).unwrap()).unwrap();
+    for pointer in [
+        "/samples/taken",
+        "/samples/skipped",
+        "/milliseconds/load",
+        "/milliseconds/render",
+        "/total_milliseconds",
+    ] {
+        assert!(
+            report
+                .pointer(pointer)
+                .and_then(serde_json::Value::as_f64)
+                .is_some_and(|v| v > 0.0),
+            "{pointer} in {report:#}"
+        );
     }
     assert_eq!(report["backend"], "cpu");
     assert_eq!(report["size"], serde_json::json!([64, 48]));
@@ -235,7 +297,11 @@ pub fn an_existing_file_is_replaced_whole() {
     std::fs::write(f.join("out.png"), "precious").unwrap();
     assert!(!render(f, &["nowhere.nii"]).status.success());
     assert_eq!(std::fs::read(f.join("out.png")).unwrap(), b"precious");
-    assert!(render(f, &["phantom:ball:size=16", "--size", "16x16"]).status.success());
+    assert!(
+        render(f, &["phantom:ball:size=16", "--size", "16x16"])
+            .status
+            .success()
+    );
     assert!(std::fs::read(f.join("out.png")).unwrap().starts_with(b"\x89PNG"));
     assert_eq!(std::fs::read_dir(f).unwrap().count(), 1);
 }
@@ -245,7 +311,18 @@ pub fn info_tells_what_is_needed() {
     small().write(folder.path(), "a.nii");
     let o = incise(folder.path(), &["info", "--json", "a.nii"]);
     let report: serde_json::Value = serde_json::from_slice(&o.stdout).unwrap();
-    for key in ["kind", "size", "type", "range", "spacing_mm", "origin_mm", "direction", "orientation", "components", "warnings"] {
+    for key in [
+        "kind",
+        "size",
+        "type",
+        "range",
+        "spacing_mm",
+        "origin_mm",
+        "direction",
+        "orientation",
+        "components",
+        "warnings",
+    ] {
         assert!(!report[key].is_null(), "{key}");
     }
     assert_eq!(report["size"], serde_json::json!([2, 3, 4]));
@@ -260,7 +337,12 @@ pub fn info_tells_what_is_needed() {
 
 pub fn usage_errors_exit_with_2() {
     let folder = tempfile::tempdir().unwrap();
-    for arguments in [&["rendr"][..], &["render"], &["render", "x.nii"], &["render", "x.nii", "-o", "a.png", "--nonsense"]] {
+    for arguments in [
+        &["rendr"][..],
+        &["render"],
+        &["render", "x.nii"],
+        &["render", "x.nii", "-o", "a.png", "--nonsense"],
+    ] {
         let o = incise(folder.path(), arguments);
         assert_eq!(o.status.code(), Some(2), "{arguments:?}");
     }
@@ -278,5 +360,10 @@ pub fn no_display_is_told() {
     let o = command.env("INCISE_HOME", folder.path()).output().unwrap();
     let stderr_text = String::from_utf8_lossy(&o.stderr).into_owned();
     assert_eq!(o.status.code(), Some(1), "{stderr_text}");
-    assert!(stderr_text.lines().count() == 1 && stderr_text.contains("no window") && stderr_text.contains("incise render"), "{stderr_text}");
+    assert!(
+        stderr_text.lines().count() == 1
+            && stderr_text.contains("no window")
+            && stderr_text.contains("incise render"),
+        "{stderr_text}"
+    );
 }

@@ -23,9 +23,18 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     };
     let phantom = |name: &str| std::fs::read(fixtures().join("phantom").join(name)).unwrap();
     let mut all = Vec::new();
-    for ending in ["nii", "nii.gz", "hdr", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "png", "jpg", "npy", "dcm", "zip", "raw", "img"] {
+    for ending in [
+        "nii", "nii.gz", "hdr", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "png", "jpg", "npy",
+        "dcm", "zip", "raw", "img",
+    ] {
         all.push((file(&format!("empty.{ending}"), b""), "is empty"));
-        all.push((file(&format!("text.{ending}"), b"This is a text and no scan at all.\n".repeat(40).as_slice()), ""));
+        all.push((
+            file(
+                &format!("text.{ending}"),
+                b"This is a text and no scan at all.\n".repeat(40).as_slice(),
+            ),
+            "",
+        ));
     }
     // Valid content under wrong extensions.
     for (name, wrong) in [
@@ -51,7 +60,10 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
     for n in 0..3 {
         declares[42 + 2 * n..44 + 2 * n].copy_from_slice(&3000i16.to_le_bytes());
     }
-    all.push((file("declares.nii.gz", &zip(&declares, 9)), "more than the file can hold"));
+    all.push((
+        file("declares.nii.gz", &zip(&declares, 9)),
+        "more than the file can hold",
+    ));
     all.push((file("declares.nii", &declares), "more than the file can hold"));
     // Zip members that are not DICOM; folders of texts; links in a loop.
     file("texts/a.txt", b"text");
@@ -64,10 +76,16 @@ fn damaged(folder: &Path) -> Vec<(PathBuf, &'static str)> {
         std::os::unix::fs::symlink(folder.join("nowhere"), folder.join("loop/dangling")).unwrap();
     }
     all.push((folder.join("loop"), "holds no image"));
-    file("bad.zarr/.zattrs", br#"{"multiscales":[{"axes":["z","y","x"],"datasets":[{"path":"0"}]}]}"#);
+    file(
+        "bad.zarr/.zattrs",
+        br#"{"multiscales":[{"axes":["z","y","x"],"datasets":[{"path":"0"}]}]}"#,
+    );
     file("bad.zarr/0/.zarray", br#"{"zarr_format":2,"shape":[100000,100000,100000],"chunks":[100000,100000,1000],"dtype":"<u2","compressor":null,"fill_value":0,"order":"C","filters":null}"#);
     all.push((folder.join("bad.zarr"), "more than the file can hold"));
-    file("outside.zarr/.zattrs", br#"{"multiscales":[{"axes":["z","y","x"],"datasets":[{"path":"../../etc"}]}]}"#);
+    file(
+        "outside.zarr/.zattrs",
+        br#"{"multiscales":[{"axes":["z","y","x"],"datasets":[{"path":"../../etc"}]}]}"#,
+    );
     all.push((folder.join("outside.zarr"), "outside the store"));
     file("vti.vti", br#"<VTKFile type="ImageData" compressor="vtkZLibDataCompressor"><ImageData WholeExtent="0 99999 0 99999 0 9"><Piece Extent="0 99999 0 99999 0 9"><PointData><DataArray type="Float64" Name="a" format="binary">AAAA</DataArray></PointData></Piece></ImageData></VTKFile>"#);
     all.push((folder.join("vti.vti"), "more than the file can hold"));
@@ -81,13 +99,27 @@ fn tried(path: &Path, memory_kib: usize) -> Result<(), String> {
     let start = Instant::now();
     // A limit on the address space bounds memory in any case.
     let script = format!("ulimit -v {memory_kib}; exec \"$0\" info \"$1\"");
-    let output = Command::new("sh").arg("-c").arg(script).arg(env!("CARGO_BIN_EXE_incise")).arg(path).env("RAYON_NUM_THREADS", "2").output().unwrap();
-    let (took, text) = (start.elapsed(), String::from_utf8_lossy(&output.stderr).into_owned());
+    let output = Command::new("sh")
+        .arg("-c")
+        .arg(script)
+        .arg(env!("CARGO_BIN_EXE_incise"))
+        .arg(path)
+        .env("RAYON_NUM_THREADS", "2")
+        .output()
+        .unwrap();
+    let (took, text) = (
+        start.elapsed(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    );
     assert!(took < Duration::from_secs(2), "{}: {took:?}", path.display());
     match output.status.code() {
         Some(0) => Ok(()),
         Some(1) => {
-            assert!(text.starts_with("incise: ") && text.trim_end().lines().count() == 1, "{}: {text}", path.display());
+            assert!(
+                text.starts_with("incise: ") && text.trim_end().lines().count() == 1,
+                "{}: {text}",
+                path.display()
+            );
             Err(text)
         }
         other => panic!("{}: {other:?} {text}", path.display()),
@@ -102,11 +134,19 @@ pub fn damaged_files_are_named() {
     let (mut count, mut named) = (0, 0);
     for (path, expected) in damaged(folder.path()) {
         let error = tried(&path, memory).expect_err(&path.to_string_lossy());
-        assert!(error.contains(expected) && error.contains(path.file_stem().unwrap().to_str().unwrap()), "{}: {error}", path.display());
+        assert!(
+            error.contains(expected) && error.contains(path.file_stem().unwrap().to_str().unwrap()),
+            "{}: {error}",
+            path.display()
+        );
         (count, named) = (count + 1, named + 1);
     }
     // Regression files that crash a reader without the corresponding checks.
-    for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bad")).into_iter().flatten().flatten() {
+    for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bad"))
+        .into_iter()
+        .flatten()
+        .flatten()
+    {
         let error = tried(&entry.path(), memory).expect_err(&entry.path().to_string_lossy());
         println!("{}", error.trim());
         (count, named) = (count + 1, named + 1);
@@ -129,7 +169,10 @@ pub fn damaged_files_are_named() {
         }
         std::fs::remove_file(&target).unwrap();
     }
-    println!("{count} damaged files tried, {named} named, {} of those with one byte changed or cut behind their values still open", count - named);
+    println!(
+        "{count} damaged files tried, {named} named, {} of those with one byte changed or cut behind their values still open",
+        count - named
+    );
 }
 
 /// A small deterministic generator (xorshift64*).
@@ -214,22 +257,44 @@ fn mutate(bytes: &mut Vec<u8>, header: usize, random: &mut Random) {
             return;
         }
         // Headers are mutated most often.
-        let at = if random.below(4) == 0 { random.below(bytes.len()) } else { random.below(bytes.len().min(header)) };
+        let at = if random.below(4) == 0 {
+            random.below(bytes.len())
+        } else {
+            random.below(bytes.len().min(header))
+        };
         match random.below(9) {
             0 => bytes[at] = random.next() as u8,
             1 => bytes[at] ^= 1 << random.below(8),
             2 => bytes.truncate(at),
             3 | 4 => {
                 // A number in text form.
-                let start = (at..bytes.len()).find(|&n| bytes[n].is_ascii_digit() || bytes[n] == b'-').unwrap_or(at);
-                let end = (start..bytes.len()).find(|&n| !(bytes[n].is_ascii_digit() || b"-.e".contains(&bytes[n]))).unwrap_or(bytes.len());
+                let start = (at..bytes.len())
+                    .find(|&n| bytes[n].is_ascii_digit() || bytes[n] == b'-')
+                    .unwrap_or(at);
+                let end = (start..bytes.len())
+                    .find(|&n| !(bytes[n].is_ascii_digit() || b"-.e".contains(&bytes[n])))
+                    .unwrap_or(bytes.len());
                 bytes.splice(start..end, ODD[random.below(ODD.len())].iter().copied());
             }
             5 | 6 => {
                 // A number in binary form.
-                let value = [0, 1, u64::MAX, 1 << 31, 1 << 15, 0x7fff_ffff, 0xffff_ff00, 3, 1 << 40][random.below(9)];
+                let value = [
+                    0,
+                    1,
+                    u64::MAX,
+                    1 << 31,
+                    1 << 15,
+                    0x7fff_ffff,
+                    0xffff_ff00,
+                    3,
+                    1 << 40,
+                ][random.below(9)];
                 let width = [1, 2, 4, 8][random.below(4)];
-                let raw = if random.below(2) == 0 { value.to_le_bytes() } else { value.to_be_bytes() };
+                let raw = if random.below(2) == 0 {
+                    value.to_le_bytes()
+                } else {
+                    value.to_be_bytes()
+                };
                 let from = if random.below(2) == 0 { 0 } else { 8 - width };
                 for (n, b) in raw[from..from + width].iter().enumerate() {
                     if let Some(byte) = bytes.get_mut(at + n) {
@@ -266,7 +331,17 @@ fn copy_folder(from: &Path, to: &Path) {
 /// Resident memory of this process, bytes.
 fn resident() -> usize {
     let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    text.lines().find_map(|l| l.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB")?.trim().parse::<usize>().ok()).unwrap_or(0) << 10
+    text.lines()
+        .find_map(|l| {
+            l.strip_prefix("VmRSS:")?
+                .trim()
+                .strip_suffix(" kB")?
+                .trim()
+                .parse::<usize>()
+                .ok()
+        })
+        .unwrap_or(0)
+        << 10
 }
 
 /// Mutated files of every format give an image or one error, never a panic, a hang or excessive
@@ -274,32 +349,60 @@ fn resident() -> usize {
 /// name) control longer runs; failing files are saved in the folder that INCISE_FUZZ_KEEP names.
 pub fn mutated_files_do_no_harm() {
     let variable = |name: &str| std::env::var(name).ok();
-    let cases: usize = variable("INCISE_FUZZ_CASES").and_then(|v| v.parse().ok()).unwrap_or(1500);
-    let seed: u64 = variable("INCISE_FUZZ_SEED").and_then(|v| v.parse().ok()).unwrap_or(1);
+    let cases: usize = variable("INCISE_FUZZ_CASES")
+        .and_then(|v| v.parse().ok())
+        .unwrap_or(1500);
+    let seed: u64 = variable("INCISE_FUZZ_SEED")
+        .and_then(|v| v.parse().ok())
+        .unwrap_or(1);
     let only = variable("INCISE_FUZZ_ONLY").unwrap_or_default();
     let memory = Path::new("/dev/shm");
-    let folder = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() }.unwrap();
+    let folder = if memory.is_dir() {
+        tempfile::tempdir_in(memory)
+    } else {
+        tempfile::tempdir()
+    }
+    .unwrap();
     let keep = variable("INCISE_FUZZ_KEEP").map(PathBuf::from);
     let (mut total, mut opened, mut bad) = (0usize, 0usize, Vec::new());
     for name in SEEDS.iter().chain(&FOLDERS).filter(|n| n.contains(&only)) {
         // For a folder, the file after its `#` is mutated.
         let (image, part) = name.split_once('#').unwrap_or((name, ""));
-        let file_name = Path::new(image).file_name().unwrap().to_string_lossy().into_owned();
+        let file_name = Path::new(image)
+            .file_name()
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
         let opened_path = folder.path().join(&file_name);
         if !part.is_empty() {
             copy_folder(&fixtures().join("phantom").join(image), &opened_path);
         }
-        let target = if part.is_empty() { opened_path.clone() } else { opened_path.join(part) };
-        let whole = std::fs::read(if part.is_empty() { fixtures().join("phantom").join(image) } else { target.clone() }).unwrap();
+        let target = if part.is_empty() {
+            opened_path.clone()
+        } else {
+            opened_path.join(part)
+        };
+        let whole = std::fs::read(if part.is_empty() {
+            fixtures().join("phantom").join(image)
+        } else {
+            target.clone()
+        })
+        .unwrap();
         let mut random = Random(0x9e37_79b9_7f4a_7c15 ^ seed.wrapping_mul(0x1000_0001) ^ whole.len() as u64);
         let (mut worst, start) = (Duration::ZERO, Instant::now());
         for n in 0..cases {
             let mut bytes = whole.clone();
             // A DICOM header is long, and the data that affects decoders follows it.
-            mutate(&mut bytes, if name.ends_with(".dcm") { 8192 } else { 1200 }, &mut random);
+            mutate(
+                &mut bytes,
+                if name.ends_with(".dcm") { 8192 } else { 1200 },
+                &mut random,
+            );
             std::fs::write(&target, &bytes).unwrap();
             let (before, from) = (resident(), Instant::now());
-            let result = std::panic::catch_unwind(|| read(&opened_path, &ReadOptions::default()).map(|v| v.voxels.len()));
+            let result = std::panic::catch_unwind(|| {
+                read(&opened_path, &ReadOptions::default()).map(|v| v.voxels.len())
+            });
             let (took, grown) = (from.elapsed(), resident().saturating_sub(before));
             worst = worst.max(took);
             opened += usize::from(matches!(result, Ok(Ok(_))));
@@ -321,9 +424,19 @@ pub fn mutated_files_do_no_harm() {
             }
             total += 1;
         }
-        println!("{name}: {cases} cases in {:.1} s, the longest {worst:?}", start.elapsed().as_secs_f64());
-        if part.is_empty() { std::fs::remove_file(&target).unwrap() } else { std::fs::remove_dir_all(&opened_path).unwrap() }
+        println!(
+            "{name}: {cases} cases in {:.1} s, the longest {worst:?}",
+            start.elapsed().as_secs_f64()
+        );
+        if part.is_empty() {
+            std::fs::remove_file(&target).unwrap()
+        } else {
+            std::fs::remove_dir_all(&opened_path).unwrap()
+        }
     }
-    println!("{total} mutated files, {opened} still open, {} do harm", bad.len());
+    println!(
+        "{total} mutated files, {opened} still open, {} do harm",
+        bad.len()
+    );
     assert!(bad.is_empty(), "{bad:#?}");
 }

@@ -111,9 +111,15 @@ impl Maker<'_> {
         } else if !scene.contains_key("volume") && self.random.chance(0.97) {
             scene.insert("volume".into(), self.section("VolumeSource", "volume"));
         }
-        let render = scene.entry("render").or_insert_with(|| Value::Table(toml::Table::new()));
+        let render = scene
+            .entry("render")
+            .or_insert_with(|| Value::Table(toml::Table::new()));
         if let Some(render) = render.as_table_mut() {
-            let size = if self.random.chance(0.05) { [1, 64] } else { [64, 64] };
+            let size = if self.random.chance(0.05) {
+                [1, 64]
+            } else {
+                [64, 64]
+            };
             render.insert("size".into(), Value::Array(size.map(Value::Integer).to_vec()));
         }
         scene
@@ -132,7 +138,12 @@ impl Maker<'_> {
 
     fn table(&mut self, schema: &Schema, path: &str) -> toml::Table {
         let schema = self.resolved(schema);
-        let required: Vec<&str> = schema["required"].as_array().into_iter().flatten().filter_map(Schema::as_str).collect();
+        let required: Vec<&str> = schema["required"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .filter_map(Schema::as_str)
+            .collect();
         let mut table = toml::Table::new();
         for (key, of_key) in schema["properties"].as_object().into_iter().flatten() {
             let wanted = match (path, key.as_str()) {
@@ -147,7 +158,11 @@ impl Maker<'_> {
                 _ => self.stated,
             };
             if self.random.chance(wanted) {
-                let within = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                let within = if path.is_empty() {
+                    key.clone()
+                } else {
+                    format!("{path}.{key}")
+                };
                 if let Some(value) = self.value(of_key, key, &within) {
                     table.insert(key.clone(), value);
                 }
@@ -157,7 +172,15 @@ impl Maker<'_> {
             "mesh" => self.made_of_something(&mut table),
             "deformation" => self.parameters(&mut table),
             "mesh.deformer" | "volume.inside.deformer" => {
-                let name = self.random.one_of(&["angle", "factor", "amount", "width", "amplitude", "length", "phase"]);
+                let name = self.random.one_of(&[
+                    "angle",
+                    "factor",
+                    "amount",
+                    "width",
+                    "amplitude",
+                    "length",
+                    "phase",
+                ]);
                 let value = self.number(name);
                 table.insert(name.into(), Value::Float(value));
             }
@@ -173,9 +196,19 @@ impl Maker<'_> {
         }
         let (key, value) = match self.random.below(10) {
             0..4 => ("path", Value::String(self.of_files(|f| &f.meshes))),
-            4..7 => ("shape", self.list(&self.schema["$defs"]["MeshSource"]["properties"]["shape"].clone(), "shape", "mesh.shape")),
+            4..7 => (
+                "shape",
+                self.list(
+                    &self.schema["$defs"]["MeshSource"]["properties"]["shape"].clone(),
+                    "shape",
+                    "mesh.shape",
+                ),
+            ),
             7 => ("iso", Value::Float(self.number("iso"))),
-            _ => ("label", Value::Array(vec![Value::Integer(self.random.below(6) as i64)])),
+            _ => (
+                "label",
+                Value::Array(vec![Value::Integer(self.random.below(6) as i64)]),
+            ),
         };
         if matches!(key, "iso" | "label") && self.random.chance(0.6) {
             let volume = self.of_files(|f| if key == "label" { &f.labels } else { &f.volumes });
@@ -186,7 +219,11 @@ impl Maker<'_> {
 
     fn of_files(&mut self, list: impl for<'f> Fn(&'f Files) -> &'f Vec<String>) -> String {
         let all = list(self.files);
-        if self.random.chance(0.02) { "nowhere.at.all".into() } else { all[self.random.below(all.len())].clone() }
+        if self.random.chance(0.02) {
+            "nowhere.at.all".into()
+        } else {
+            all[self.random.below(all.len())].clone()
+        }
     }
 
     /// A kind's own parameters and settings.
@@ -196,10 +233,17 @@ impl Maker<'_> {
         if let Some(n) = deformation.get_mut("resolution") {
             *n = Value::Integer(8 + self.random.below(40) as i64);
         } else if name != "map" {
-            deformation.insert("resolution".into(), Value::Integer(8 + self.random.below(24) as i64));
+            deformation.insert(
+                "resolution".into(),
+                Value::Integer(8 + self.random.below(24) as i64),
+            );
         }
         let Ok(kind) = kinds::kind(&name) else {
-            let path = if name == "map" { self.of_files(|f| &f.maps) } else { self.of_files(|f| &f.fields) };
+            let path = if name == "map" {
+                self.of_files(|f| &f.maps)
+            } else {
+                self.of_files(|f| &f.fields)
+            };
             deformation.insert("path".into(), Value::String(path));
             if name == "field" {
                 for key in ["center", "size", "rotate", "matrix"] {
@@ -227,7 +271,9 @@ impl Maker<'_> {
                     "labels" => Value::String(self.of_files(|f| &f.labels)),
                     "mask" => Value::String(self.of_files(|f| &f.volumes)),
                     "pairs" | "from" | "to" => Value::String(self.of_files(|f| &f.points)),
-                    "mapping" => Value::String(self.random.one_of(&["cylindrical", "none", "conical"]).into()),
+                    "mapping" => {
+                        Value::String(self.random.one_of(&["cylindrical", "none", "conical"]).into())
+                    }
                     "invert" => Value::Boolean(self.random.chance(0.7)),
                     "group" => Value::String(self.random.one_of(&["a", "b"]).into()),
                     "combine" => Value::String(self.random.one_of(&["and", "or"]).into()),
@@ -235,7 +281,11 @@ impl Maker<'_> {
                     _ => match self.random.below(4) {
                         0 => Value::Boolean(true),
                         1 => Value::Float(self.number(setting.name)),
-                        2 => Value::Array((0..self.random.below(30)).map(|_| Value::Float(self.number("points"))).collect()),
+                        2 => Value::Array(
+                            (0..self.random.below(30))
+                                .map(|_| Value::Float(self.number("points")))
+                                .collect(),
+                        ),
                         _ => Value::String(self.random.one_of(&WORDS).into()),
                     },
                 };
@@ -249,7 +299,11 @@ impl Maker<'_> {
     }
 
     fn numbers_of(&mut self, kind: &Kind, deformation: &mut toml::Table) {
-        let size = deformation.get("size").and_then(|s| s.as_float().map(|s| [s; 3]).or_else(|| s.clone().try_into::<[f64; 3]>().ok()));
+        let size = deformation.get("size").and_then(|s| {
+            s.as_float()
+                .map(|s| [s; 3])
+                .or_else(|| s.clone().try_into::<[f64; 3]>().ok())
+        });
         let size = glam::Vec3::from(size.unwrap_or([80.0; 3]).map(|s| s as f32));
         for p in kind.parameters {
             if self.random.chance(0.4) {
@@ -276,7 +330,12 @@ impl Maker<'_> {
         let items = schema["items"].clone();
         let mut values: Vec<Value> = (0..count).filter_map(|_| self.value(&items, key, path)).collect();
         if key == "points" && path.starts_with("transfer") {
-            values.sort_by(|a, b| a["value"].as_float().unwrap_or(0.0).total_cmp(&b["value"].as_float().unwrap_or(0.0)));
+            values.sort_by(|a, b| {
+                a["value"]
+                    .as_float()
+                    .unwrap_or(0.0)
+                    .total_cmp(&b["value"].as_float().unwrap_or(0.0))
+            });
         }
         Value::Array(values)
     }
@@ -314,7 +373,9 @@ impl Maker<'_> {
         match key {
             "antialias" => [1, 1, 1, 2][self.random.below(4)],
             // The cost of distance fields grows with the third power.
-            "resolution" if path.starts_with("mesh") || path.starts_with("surface") => 16 + self.random.below(32) as i64,
+            "resolution" if path.starts_with("mesh") || path.starts_with("surface") => {
+                16 + self.random.below(32) as i64
+            }
             "time" | "channel" => 1,
             _ => self.random.below(6) as i64,
         }
@@ -330,7 +391,8 @@ impl Maker<'_> {
             "rotate" | "roll" | "phase" | "angle" => self.random.between(-180.0, 180.0),
             "matrix" => self.random.between(-90.0, 90.0),
             "progress" => [0.0, 0.3, 0.7, 1.0][self.random.below(4)],
-            "color" | "inside_color" | "cut_color" | "background" | "opacity" | "factor" | "ambient" | "diffuse" | "specular" => self.random.share(),
+            "color" | "inside_color" | "cut_color" | "background" | "opacity" | "factor" | "ambient"
+            | "diffuse" | "specular" => self.random.share(),
             "direction" => self.random.between(-1.0, 1.0),
             "shininess" => self.random.between(1.0, 100.0),
             "step" => [0.4, 0.7, 1.0, 1.0, 2.0, 5.0][self.random.below(6)],
@@ -338,7 +400,9 @@ impl Maker<'_> {
             "field_of_view" => self.random.between(5.0, 90.0),
             "density" => 10f64.powf(self.random.between(-1.5, 1.0)),
             "window" => [0.5, 1.0, 200.0, 1500.0][self.random.below(4)],
-            "level" | "iso" | "value" => [0.3, 0.5, 0.9, 60.0, 150.0, 300.0, -300.0, -1000.0][self.random.below(8)],
+            "level" | "iso" | "value" => {
+                [0.3, 0.5, 0.9, 60.0, 150.0, 300.0, -300.0, -1000.0][self.random.below(8)]
+            }
             "magnitude" => self.random.between(0.0, 100.0),
             "precompose" => [0.05, 0.2, 1.0, 5.0][self.random.below(4)],
             "spacing" => self.random.between(0.5, 5.0),
@@ -354,8 +418,20 @@ impl Maker<'_> {
         match (path, key) {
             ("volume.path", _) => match self.random.below(6) {
                 0..4 => {
-                    let name = self.random.one_of(&["ball", "shell", "checker", "piggy-bank", "tomato", "teddy", "octants", "head-ct"]);
-                    format!("phantom:{name}:size={}", [4, 16, 24, 32, 48, 64][self.random.below(6)])
+                    let name = self.random.one_of(&[
+                        "ball",
+                        "shell",
+                        "checker",
+                        "piggy-bank",
+                        "tomato",
+                        "teddy",
+                        "octants",
+                        "head-ct",
+                    ]);
+                    format!(
+                        "phantom:{name}:size={}",
+                        [4, 16, 24, 32, 48, 64][self.random.below(6)]
+                    )
                 }
                 4 => self.of_files(|f| &f.volumes),
                 _ => self.of_files(|f| &f.labels),
@@ -363,11 +439,20 @@ impl Maker<'_> {
             ("volume.labels", _) => self.of_files(|f| &f.labels),
             ("volume.inside.path", _) => self.of_files(|f| &f.meshes),
             ("deformation.kind", _) => {
-                let all: Vec<&str> = kinds::list().map(|k| k.name).chain(FILE_KINDS.iter().map(|k| k.name)).collect();
+                let all: Vec<&str> = kinds::list()
+                    .map(|k| k.name)
+                    .chain(FILE_KINDS.iter().map(|k| k.name))
+                    .collect();
                 all[self.random.below(all.len())].into()
             }
-            (_, "kind") if path.contains("shape") => owned(self.random.one_of(&["sphere", "box", "torus", "cylinder", "gyroid"])),
-            (_, "kind") if path.contains("deformer") => owned(self.random.one_of(&["twist", "bend", "taper", "shear", "bulge", "wave", "lattice"])),
+            (_, "kind") if path.contains("shape") => owned(
+                self.random
+                    .one_of(&["sphere", "box", "torus", "cylinder", "gyroid"]),
+            ),
+            (_, "kind") if path.contains("deformer") => owned(
+                self.random
+                    .one_of(&["twist", "bend", "taper", "shear", "bulge", "wave", "lattice"]),
+            ),
             (_, "join") => owned(self.random.one_of(&["union", "intersect", "subtract"])),
             (_, "face") => owned(self.random.one_of(&["-x", "+x", "-y", "+y", "-z", "+z"])),
             (_, "look") => {
@@ -379,8 +464,19 @@ impl Maker<'_> {
                 all[self.random.below(all.len())].into()
             }
             (_, "view") => match self.random.below(3) {
-                0 => owned(self.random.one_of(&["anterior", "posterior", "left", "right", "superior", "inferior"])),
-                _ => format!("{:.1},{:.1}", self.random.between(-180.0, 180.0), self.random.between(-90.0, 90.0)),
+                0 => owned(self.random.one_of(&[
+                    "anterior",
+                    "posterior",
+                    "left",
+                    "right",
+                    "superior",
+                    "inferior",
+                ])),
+                _ => format!(
+                    "{:.1},{:.1}",
+                    self.random.between(-180.0, 180.0),
+                    self.random.between(-90.0, 90.0)
+                ),
             },
             _ => owned(self.random.one_of(&WORDS)),
         }
@@ -388,10 +484,13 @@ impl Maker<'_> {
 }
 
 fn number_from(variable: &str, otherwise: u64) -> u64 {
-    std::env::var(variable).ok().map_or(otherwise, |v| v.parse().unwrap())
+    std::env::var(variable)
+        .ok()
+        .map_or(otherwise, |v| v.parse().unwrap())
 }
 
-/// Watches the number of the current scene, `u64::MAX` if there is none. Reports a hung scene and exits.
+/// Watches the number of the current scene, `u64::MAX` if there is none. Reports a hung scene and
+/// exits.
 fn exit_if_a_scene_hangs(current_scene: &'static AtomicU64) {
     std::thread::spawn(move || {
         let (mut last, mut since) = (u64::MAX, Instant::now());
@@ -401,7 +500,9 @@ fn exit_if_a_scene_hangs(current_scene: &'static AtomicU64) {
             if current != last {
                 (last, since) = (current, Instant::now());
             } else if current != u64::MAX && since.elapsed() > HANGS {
-                eprintln!("scene {current} does not end; run it again with INCISE_FUZZ_FIRST={current} INCISE_FUZZ_SCENES=1");
+                eprintln!(
+                    "scene {current} does not end; run it again with INCISE_FUZZ_FIRST={current} INCISE_FUZZ_SCENES=1"
+                );
                 std::process::exit(101);
             }
         }
@@ -409,7 +510,10 @@ fn exit_if_a_scene_hangs(current_scene: &'static AtomicU64) {
 }
 
 pub fn random_scenes_do_no_harm() {
-    let (count, first) = (number_from("INCISE_FUZZ_SCENES", 300), number_from("INCISE_FUZZ_FIRST", 0));
+    let (count, first) = (
+        number_from("INCISE_FUZZ_SCENES", 300),
+        number_from("INCISE_FUZZ_FIRST", 0),
+    );
     let files = Files::new();
     let schema = file::schema();
     let (mut pictures, mut blank, mut compared, mut slowest) = (0u64, 0u64, 0u64, (0.0f64, 0u64));
@@ -420,8 +524,17 @@ pub fn random_scenes_do_no_harm() {
     let keep: Option<PathBuf> = std::env::var_os("INCISE_FUZZ_KEEP").map(PathBuf::from);
     for n in first..first + count {
         let mut random = Random(n.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ 0x1234_5678);
-        let (stated, extreme) = ([0.05, 0.15, 0.4][random.below(3)], [0.0, 0.0, 0.005, 0.03][random.below(4)]);
-        let mut maker = Maker { schema: &schema, files: &files, random, stated, extreme };
+        let (stated, extreme) = (
+            [0.05, 0.15, 0.4][random.below(3)],
+            [0.0, 0.0, 0.005, 0.03][random.below(4)],
+        );
+        let mut maker = Maker {
+            schema: &schema,
+            files: &files,
+            random,
+            stated,
+            extreme,
+        };
         let text = toml::to_string(&maker.scene()).unwrap();
         if let Some(folder) = &keep {
             std::fs::write(folder.join(format!("{n}.toml")), &text).unwrap();
@@ -430,7 +543,11 @@ pub fn random_scenes_do_no_harm() {
         let start = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| run(&text, files.path())));
         let seconds = start.elapsed().as_secs_f64();
-        slowest = if seconds > slowest.0 { (seconds, n) } else { slowest };
+        slowest = if seconds > slowest.0 {
+            (seconds, n)
+        } else {
+            slowest
+        };
         let mut complain = |problem: String| {
             eprintln!("scene {n}: {problem}\n{text}");
             complaints.push(format!("{n}: {}", problem.lines().next().unwrap_or_default()));
@@ -449,7 +566,12 @@ pub fn random_scenes_do_no_harm() {
             let plain: String = message.chars().filter(|c| !c.is_ascii_digit()).take(60).collect();
             *refusals.entry(plain).or_default() += 1;
         }
-        if let Outcome::Picture { assets, scene, rendered } = &outcome {
+        if let Outcome::Picture {
+            assets,
+            scene,
+            rendered,
+        } = &outcome
+        {
             pictures += 1;
             blank += u64::from(rendered.picture.is_blank());
             if pictures % ON_GPU == 0 {
@@ -469,8 +591,19 @@ pub fn random_scenes_do_no_harm() {
     );
     let mut refusals: Vec<_> = refusals.into_iter().collect();
     refusals.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
-    refusals.iter().take(15).for_each(|(message, n)| println!("{n:6} {message}"));
-    assert!(complaints.is_empty(), "{} of {count}:\n{}", complaints.len(), complaints.join("\n"));
+    refusals
+        .iter()
+        .take(15)
+        .for_each(|(message, n)| println!("{n:6} {message}"));
+    assert!(
+        complaints.is_empty(),
+        "{} of {count}:\n{}",
+        complaints.len(),
+        complaints.join("\n")
+    );
     // If nearly all scenes were rejected, the test would be meaningless.
-    assert!(count < 100 || pictures * 3 >= count, "only {pictures} of {count} scenes became pictures");
+    assert!(
+        count < 100 || pictures * 3 >= count,
+        "only {pictures} of {count} scenes became pictures"
+    );
 }

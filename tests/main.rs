@@ -1,7 +1,11 @@
 //! All tests that span several modules, in one binary. `libtest-mimic` replaces the built-in
 //! harness, because tests that need a graphics adapter must be reported as ignored, not as passed,
 //! if there is none. With INCISE_REQUIRE_ADAPTER set (CI), a missing adapter is a failure.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test that cannot go on should panic"
+)]
 #![allow(missing_docs, reason = "tests say what they hold in their names")]
 
 mod architecture;
@@ -35,9 +39,15 @@ use libtest_mimic::{Arguments, Trial};
 /// they wait for other tests' threads and count other tests' memory. Each is listed under the name
 /// of the trial that runs it.
 const ALONE: &[(&str, fn())] = &[
-    ("damage::mutated_files_do_no_harm", damage::mutated_files_do_no_harm),
+    (
+        "damage::mutated_files_do_no_harm",
+        damage::mutated_files_do_no_harm,
+    ),
     #[cfg(feature = "gui")]
-    ("workstation::a_monkey_does_no_harm", workstation::a_monkey_does_no_harm),
+    (
+        "workstation::a_monkey_does_no_harm",
+        workstation::a_monkey_does_no_harm,
+    ),
 ];
 
 /// The environment variable with the name of the entry of `ALONE` that a child process runs.
@@ -47,8 +57,14 @@ fn alone() -> impl Iterator<Item = Trial> {
     ALONE.iter().map(|&(name, _)| {
         Trial::test(name, move || {
             let program = std::env::current_exe()?;
-            let status = std::process::Command::new(program).env(ALONE_VARIABLE, name).status()?;
-            if status.success() { Ok(()) } else { Err(format!("{status}; what it said is above").into()) }
+            let status = std::process::Command::new(program)
+                .env(ALONE_VARIABLE, name)
+                .status()?;
+            if status.success() {
+                Ok(())
+            } else {
+                Err(format!("{status}; what it said is above").into())
+            }
         })
     })
 }

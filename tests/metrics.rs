@@ -49,7 +49,12 @@ pub fn difference(a: &Picture, b: &Picture) -> Result<Difference, String> {
         within += usize::from(worst <= 4.0 * STEP);
     }
     let n = a.pixels.len() as f64;
-    Ok(Difference { mean: sum / (4.0 * n), max, within_4: within as f64 / n, psnr: -10.0 * (squares / (4.0 * n)).max(1e-30).log10() })
+    Ok(Difference {
+        mean: sum / (4.0 * n),
+        max,
+        within_4: within as f64 / n,
+        psnr: -10.0 * (squares / (4.0 * n)).max(1e-30).log10(),
+    })
 }
 
 fn gradient_picture() -> Picture {
@@ -58,7 +63,11 @@ fn gradient_picture() -> Picture {
         let alpha = 0.3 + 0.6 * (9.0 * x).sin().abs();
         [alpha * x, alpha * y, alpha * (x * y), alpha]
     });
-    Picture { width: 64, height: 48, pixels: pixels.collect() }
+    Picture {
+        width: 64,
+        height: 48,
+        pixels: pixels.collect(),
+    }
 }
 
 pub fn equal_pictures_are_equal() {
@@ -79,9 +88,23 @@ pub fn the_comparer_rejects() {
     swapped.pixels.iter_mut().for_each(|p| p.swap(0, 1));
     let mut nan = a.clone();
     nan.pixels[77][2] = f32::NAN;
-    let empty = Picture { pixels: vec![[0.0; 4]; a.pixels.len()], ..a.clone() };
-    let other = Picture { width: 48, height: 64, ..a.clone() };
-    for (name, b) in [("shift", shifted), ("alpha", alpha), ("channels", swapped), ("NaN", nan), ("empty", empty), ("size", other)] {
+    let empty = Picture {
+        pixels: vec![[0.0; 4]; a.pixels.len()],
+        ..a.clone()
+    };
+    let other = Picture {
+        width: 48,
+        height: 64,
+        ..a.clone()
+    };
+    for (name, b) in [
+        ("shift", shifted),
+        ("alpha", alpha),
+        ("channels", swapped),
+        ("NaN", nan),
+        ("empty", empty),
+        ("size", other),
+    ] {
         assert!(!accepts(&b), "{name} was accepted");
     }
 }

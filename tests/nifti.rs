@@ -13,7 +13,10 @@ pub struct File {
 
 impl File {
     pub fn new(size: [i16; 3], datatype: i16, bits: i16, big: bool) -> Self {
-        let mut file = Self { bytes: vec![0; 352], big };
+        let mut file = Self {
+            bytes: vec![0; 352],
+            big,
+        };
         file.i32(0, 348);
         file.i16(40, 3);
         for (n, d) in size.into_iter().enumerate() {
@@ -103,11 +106,27 @@ pub fn every_type_and_byte_order() {
 pub fn rescale_is_sanitised() {
     let folder = tempfile::tempdir().unwrap();
     for (slope, intercept, want, warns) in [
-        (0.5, -10.0, Rescale { slope: 0.5, intercept: -10.0 }, false),
+        (
+            0.5,
+            -10.0,
+            Rescale {
+                slope: 0.5,
+                intercept: -10.0,
+            },
+            false,
+        ),
         (0.0, 5.0, Rescale::NONE, false),
         (f32::NAN, 0.0, Rescale::NONE, true),
         (1.0, f32::INFINITY, Rescale::NONE, true),
-        (0.01, 0.0, Rescale { slope: f64::from(0.01f32), intercept: 0.0 }, false),
+        (
+            0.01,
+            0.0,
+            Rescale {
+                slope: f64::from(0.01f32),
+                intercept: 0.0,
+            },
+            false,
+        ),
     ] {
         let mut f = small();
         f.f32(112, slope);
@@ -123,14 +142,25 @@ pub fn sform_qform_and_spacing() {
     let folder = tempfile::tempdir().unwrap();
     let corner = |f: &File| {
         let v = read(&f.write(folder.path(), "a.nii")).unwrap();
-        (v.world_from_voxel.transform_point3(DVec3::new(1.0, 2.0, 3.0)), v.orientation(), v.spacing_mm())
+        (
+            v.world_from_voxel.transform_point3(DVec3::new(1.0, 2.0, 3.0)),
+            v.orientation(),
+            v.spacing_mm(),
+        )
     };
     // Neither qform nor sform: RAS with the spacing.
     let mut f = small();
     f.f32(80, 2.0);
     f.f32(84, 3.0);
     f.f32(88, 4.0);
-    assert_eq!(corner(&f), (DVec3::new(-2.0, -6.0, 12.0), "RAS".into(), DVec3::new(2.0, 3.0, 4.0)));
+    assert_eq!(
+        corner(&f),
+        (
+            DVec3::new(-2.0, -6.0, 12.0),
+            "RAS".into(),
+            DVec3::new(2.0, 3.0, 4.0)
+        )
+    );
     // qform: 90 degrees about z (b = c = 0, d = sin 45), offsets; then with the third axis flipped.
     f.i16(252, 1);
     f.f32(264, std::f32::consts::FRAC_1_SQRT_2);
@@ -138,7 +168,10 @@ pub fn sform_qform_and_spacing() {
     f.f32(272, 20.0);
     f.f32(276, 30.0);
     let (p, letters, _) = corner(&f);
-    assert!(p.abs_diff_eq(DVec3::new(-(10.0 - 6.0), -(20.0 + 2.0), 42.0), 1e-5), "{p}");
+    assert!(
+        p.abs_diff_eq(DVec3::new(-(10.0 - 6.0), -(20.0 + 2.0), 42.0), 1e-5),
+        "{p}"
+    );
     assert_eq!(letters, "ALS");
     f.f32(76, -1.0);
     assert!((corner(&f).0.z - 18.0).abs() < 1e-5);
@@ -147,11 +180,17 @@ pub fn sform_qform_and_spacing() {
     assert!(corner(&f).0.is_finite());
     // The sform takes precedence; a singular one is ignored with a warning.
     f.i16(254, 2);
-    for (n, v) in [0.0, 0.0, -4.0, 7.0, 2.0, 0.0, 0.0, 8.0, 0.0, 3.0, 0.0, 9.0].into_iter().enumerate() {
+    for (n, v) in [0.0, 0.0, -4.0, 7.0, 2.0, 0.0, 0.0, 8.0, 0.0, 3.0, 0.0, 9.0]
+        .into_iter()
+        .enumerate()
+    {
         f.f32(280 + 4 * n, v);
     }
     let (p, letters, spacing) = corner(&f);
-    assert!(p.abs_diff_eq(DVec3::new(-(-12.0 + 7.0), -(2.0 + 8.0), 15.0), 1e-5), "{p}");
+    assert!(
+        p.abs_diff_eq(DVec3::new(-(-12.0 + 7.0), -(2.0 + 8.0), 15.0), 1e-5),
+        "{p}"
+    );
     assert_eq!((letters.as_str(), spacing), ("ASL", DVec3::new(2.0, 3.0, 4.0)));
     f.f32(280 + 8, 0.0);
     let v = read(&f.write(folder.path(), "b.nii")).unwrap();
@@ -212,11 +251,22 @@ pub fn damaged_files_are_named() {
     let mut f = File::new([16, 16, 16], 4, 16, false);
     f.voxels((0..4096u32).map(|v| ((v.wrapping_mul(2_654_435_761) >> 16) as i16).to_be_bytes()));
     let whole = std::fs::read(f.write(folder.path(), "whole.nii.gz")).unwrap();
-    for end in [1, 5, 20, whole.len() / 2, whole.len() - 40, whole.len() - 8, whole.len() - 1] {
+    for end in [
+        1,
+        5,
+        20,
+        whole.len() / 2,
+        whole.len() - 40,
+        whole.len() - 8,
+        whole.len() - 1,
+    ] {
         let path = folder.path().join("short.nii.gz");
         std::fs::write(&path, &whole[..end]).unwrap();
         let message = read(&path).unwrap_err().to_string();
-        assert!(message.contains("truncated") || message.contains("damaged"), "{message}");
+        assert!(
+            message.contains("truncated") || message.contains("damaged"),
+            "{message}"
+        );
     }
     let mut flipped = whole.clone();
     let at = flipped.len() - 6;
@@ -227,7 +277,12 @@ pub fn damaged_files_are_named() {
     // Trailing zeros after the stream, as some tools write.
     std::fs::write(&path, [&whole[..], &[0; 512]].concat()).unwrap();
     assert!(read(&path).is_ok());
-    assert!(read(&folder.path().join("none.nii")).unwrap_err().to_string().contains("none.nii"));
+    assert!(
+        read(&folder.path().join("none.nii"))
+            .unwrap_err()
+            .to_string()
+            .contains("none.nii")
+    );
     assert!(read(folder.path()).unwrap_err().to_string().contains("folder"));
 }
 
@@ -251,7 +306,10 @@ pub fn the_first_of_a_series_is_taken() {
 pub fn the_bundled_head() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes");
     let head = read(&folder.join("colin27-head-t1.nii.gz")).unwrap();
-    assert_eq!((head.size, head.voxels.type_name(), head.orientation()), ([181, 217, 181], "u8", "RAS".into()));
+    assert_eq!(
+        (head.size, head.voxels.type_name(), head.orientation()),
+        ([181, 217, 181], "u8", "RAS".into())
+    );
     assert_eq!(head.labels(), None);
     let labels = read(&folder.join("colin27-aal-labels.nii.gz")).unwrap();
     assert_eq!((labels.size, labels.labels()), (head.size, Some(116)));

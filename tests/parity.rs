@@ -27,8 +27,13 @@ mod space;
 mod surfaces;
 mod volumes;
 
-static RENDERER: LazyLock<Mutex<Result<Renderer, String>>> =
-    LazyLock::new(|| Mutex::new(Device::open(AdapterPreference::Any).map(Renderer::new).map_err(|e| e.to_string())));
+static RENDERER: LazyLock<Mutex<Result<Renderer, String>>> = LazyLock::new(|| {
+    Mutex::new(
+        Device::open(AdapterPreference::Any)
+            .map(Renderer::new)
+            .map_err(|e| e.to_string()),
+    )
+});
 
 pub fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
     // The renderer stays usable after another test has failed.
@@ -38,7 +43,10 @@ pub fn with_renderer<T>(work: impl FnOnce(&mut Renderer) -> T) -> T {
 
 /// Whether there is an adapter.
 pub fn has_renderer() -> bool {
-    RENDERER.lock().unwrap_or_else(std::sync::PoisonError::into_inner).is_ok()
+    RENDERER
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+        .is_ok()
 }
 
 pub fn trials() -> Vec<Trial> {
@@ -47,7 +55,9 @@ pub fn trials() -> Vec<Trial> {
     let mut all = vec![];
     if required {
         let missing = missing.clone();
-        all.push(Trial::test("parity::an_adapter_is_present", move || missing.map_or(Ok(()), |e| Err(e.into()))));
+        all.push(Trial::test("parity::an_adapter_is_present", move || {
+            missing.map_or(Ok(()), |e| Err(e.into()))
+        }));
     }
     let gpu = |name: String, test: Box<dyn FnOnce() + Send>| {
         Trial::test(name, move || {
@@ -59,37 +69,87 @@ pub fn trials() -> Vec<Trial> {
     for file in scenes::files() {
         let name = file.file_stem().unwrap().to_string_lossy().into_owned();
         let own = Scene::load(&file).map_or(Mode::Raycast, |s| s.render.mode);
-        let modes: &[Mode] = if own == Mode::Surface { &[Mode::Surface] } else { &[Mode::Slice, Mode::Raycast] };
+        let modes: &[Mode] = if own == Mode::Surface {
+            &[Mode::Surface]
+        } else {
+            &[Mode::Slice, Mode::Raycast]
+        };
         for &mode in modes {
             let scene = name.clone();
-            all.push(gpu(format!("parity::{name}::{mode:?}").to_lowercase(), Box::new(move || scene_agrees(&scene, mode))));
+            all.push(gpu(
+                format!("parity::{name}::{mode:?}").to_lowercase(),
+                Box::new(move || scene_agrees(&scene, mode)),
+            ));
         }
     }
     for kind in incise::deform::kinds::list() {
-        all.push(gpu(format!("parity::numbers::{}", kind.name), Box::new(move || numbers_agree(kind.name))));
+        all.push(gpu(
+            format!("parity::numbers::{}", kind.name),
+            Box::new(move || numbers_agree(kind.name)),
+        ));
     }
     all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
-    all.push(gpu("parity::surface_depths_agree".into(), Box::new(surface_depths_agree)));
-    all.push(gpu("parity::surface_options_agree".into(), Box::new(surface_options_agree)));
-    all.push(gpu("parity::one_deformation_on_the_gpu".into(), Box::new(one_deformation_on_the_gpu)));
+    all.push(gpu(
+        "parity::surface_depths_agree".into(),
+        Box::new(surface_depths_agree),
+    ));
+    all.push(gpu(
+        "parity::surface_options_agree".into(),
+        Box::new(surface_options_agree),
+    ));
+    all.push(gpu(
+        "parity::one_deformation_on_the_gpu".into(),
+        Box::new(one_deformation_on_the_gpu),
+    ));
     all.push(gpu("parity::counts_agree".into(), Box::new(counts_agree)));
-    all.push(gpu("editing::edits_upload_what_changed".into(), Box::new(crate::editing::edits_upload_what_changed)));
-    all.push(gpu("editing::edits_of_surfaces_upload_what_changed".into(), Box::new(crate::editing::edits_of_surfaces_upload_what_changed)));
-    all.push(gpu("editing::edits_prepare_what_changed".into(), Box::new(crate::editing::edits_prepare_what_changed)));
-    all.push(gpu("editing::segments_and_shifts_agree_between_modes".into(), Box::new(crate::editing::segments_and_shifts_agree_between_modes)));
+    all.push(gpu(
+        "editing::edits_upload_what_changed".into(),
+        Box::new(crate::editing::edits_upload_what_changed),
+    ));
+    all.push(gpu(
+        "editing::edits_of_surfaces_upload_what_changed".into(),
+        Box::new(crate::editing::edits_of_surfaces_upload_what_changed),
+    ));
+    all.push(gpu(
+        "editing::edits_prepare_what_changed".into(),
+        Box::new(crate::editing::edits_prepare_what_changed),
+    ));
+    all.push(gpu(
+        "editing::segments_and_shifts_agree_between_modes".into(),
+        Box::new(crate::editing::segments_and_shifts_agree_between_modes),
+    ));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
-    all.push(gpu("parity::composition_agrees".into(), Box::new(composition_agrees)));
-    all.push(gpu("composition::many_maps_agree".into(), Box::new(crate::composition::many_maps_agree)));
+    all.push(gpu(
+        "parity::composition_agrees".into(),
+        Box::new(composition_agrees),
+    ));
+    all.push(gpu(
+        "composition::many_maps_agree".into(),
+        Box::new(crate::composition::many_maps_agree),
+    ));
     all.push(gpu("parity::strategies_agree".into(), Box::new(strategies_agree)));
-    all.push(gpu("parity::empty_space_agrees".into(), Box::new(empty_space_agrees)));
-    all.push(gpu("parity::voxel_types_agree".into(), Box::new(voxel_types_agree)));
+    all.push(gpu(
+        "parity::empty_space_agrees".into(),
+        Box::new(empty_space_agrees),
+    ));
+    all.push(gpu(
+        "parity::voxel_types_agree".into(),
+        Box::new(voxel_types_agree),
+    ));
     all.push(gpu("parity::own_colors_agree".into(), Box::new(own_colors_agree)));
-    all.push(gpu("parity::larger_than_the_device_is_reduced".into(), Box::new(larger_than_the_device_is_reduced)));
+    all.push(gpu(
+        "parity::larger_than_the_device_is_reduced".into(),
+        Box::new(larger_than_the_device_is_reduced),
+    ));
     all
 }
 
 /// The strategy of a hardware GPU.
-const PREPARE: Strategy = Strategy { exact_filter: true, compute_rays: true, prepare: true };
+const PREPARE: Strategy = Strategy {
+    exact_filter: true,
+    compute_rays: true,
+    prepare: true,
+};
 
 /// Runs the renderer with a strategy other than its own.
 fn with_strategy<T>(strategy: Strategy, work: impl FnOnce(&mut Renderer) -> T) -> T {
@@ -105,12 +165,26 @@ fn agree(what: &str, prepared: &Prepared) {
     agree_by(what, prepared, |r| r.render(prepared, false, &Watch::NONE));
 }
 
-fn agree_by(what: &str, prepared: &Prepared, render: impl FnOnce(&mut Renderer) -> incise::Result<incise::picture::Rendered>) {
+fn agree_by(
+    what: &str,
+    prepared: &Prepared,
+    render: impl FnOnce(&mut Renderer) -> incise::Result<incise::picture::Rendered>,
+) {
     let by_cpu = cpu::render(prepared).picture;
     let by_gpu = with_renderer(|r| render(r).unwrap_or_else(|e| panic!("{what}: {e}"))).picture;
     let d = difference(&by_cpu, &by_gpu).unwrap_or_else(|e| panic!("{what}: {e}"));
-    println!("{what}: mean {:.4}/255, max {:.2}/255, within 4/255: {:.4} %", d.mean / STEP, d.max / STEP, 100.0 * d.within_4);
-    assert!(d.mean <= 0.5 * STEP && d.within_4 >= 0.999, "{what}: mean {}/255, {} % within 4/255", d.mean / STEP, 100.0 * d.within_4);
+    println!(
+        "{what}: mean {:.4}/255, max {:.2}/255, within 4/255: {:.4} %",
+        d.mean / STEP,
+        d.max / STEP,
+        100.0 * d.within_4
+    );
+    assert!(
+        d.mean <= 0.5 * STEP && d.within_4 >= 0.999,
+        "{what}: mean {}/255, {} % within 4/255",
+        d.mean / STEP,
+        100.0 * d.within_4
+    );
 }
 
 fn scene_agrees(name: &str, mode: Mode) {
@@ -119,7 +193,10 @@ fn scene_agrees(name: &str, mode: Mode) {
     scene.render.size = [192, 192];
     scene.render.antialias = 1;
     let assets = scenes::assets(&scene);
-    agree(&format!("{name} {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
+    agree(
+        &format!("{name} {mode:?}"),
+        &Prepared::new(&scene, &assets).unwrap(),
+    );
 }
 
 /// Cuts of every shape, with a group and an inversion.
@@ -127,18 +204,30 @@ fn every_cut() -> [Deformation; 8] {
     let cut = |kind: &str, center: [f32; 3], settings: &[(&str, &str)]| {
         let mut d = Deformation::new(kind);
         d.center = Some(center);
-        settings.iter().for_each(|(name, value)| d.parameters.insert(*name, *value));
+        settings
+            .iter()
+            .for_each(|(name, value)| d.parameters.insert(*name, *value));
         d
     };
     [
-        cut("half-space", [0.0, 0.0, 30.0], &[("group", "a"), ("combine", "and")]),
-        Deformation { rotate: Some([0.0, 70.0, 0.0]), ..cut("half-space", [10.0, 0.0, 0.0], &[("group", "a")]) },
+        cut(
+            "half-space",
+            [0.0, 0.0, 30.0],
+            &[("group", "a"), ("combine", "and")],
+        ),
+        Deformation {
+            rotate: Some([0.0, 70.0, 0.0]),
+            ..cut("half-space", [10.0, 0.0, 0.0], &[("group", "a")])
+        },
         cut("sphere", [40.0, -50.0, 10.0], &[]),
         cut("box", [-40.0, -50.0, -10.0], &[]),
         cut("wedge", [0.0, 40.0, 0.0], &[]),
         cut("cylinder", [0.0, -60.0, 0.0], &[("invert", "false")]),
         cut("view-cone", [0.0, -20.0, 20.0], &[]),
-        Deformation { size: Some(incise::scene::Size::Cube(170.0)), ..cut("sphere", [0.0; 3], &[("invert", "true")]) },
+        Deformation {
+            size: Some(incise::scene::Size::Cube(170.0)),
+            ..cut("sphere", [0.0; 3], &[("invert", "true")])
+        },
     ]
 }
 
@@ -155,15 +244,34 @@ fn options_agree() {
         change(&mut s);
         variants.push((name, s));
     };
-    add("orthographic", &|s| s.camera.projection = incise::scene::Projection::Orthographic);
+    add("orthographic", &|s| {
+        s.camera.projection = incise::scene::Projection::Orthographic
+    });
     add("sobel", &|s| s.render.gradient = GradientFilter::Sobel);
     add("one-sided", &|s| s.light.two_sided = false);
-    add("normals none", &|s| s.render.normals = incise::scene::Normals::None);
-    add("normals source", &|s| s.render.normals = incise::scene::Normals::Source);
-    add("normals transformed", &|s| s.render.normals = incise::scene::Normals::Transformed);
-    add("soft", &|s| s.transfer.preset = Some("ct-bones-and-muscle".into()));
+    add("normals none", &|s| {
+        s.render.normals = incise::scene::Normals::None
+    });
+    add("normals source", &|s| {
+        s.render.normals = incise::scene::Normals::Source
+    });
+    add("normals transformed", &|s| {
+        s.render.normals = incise::scene::Normals::Transformed
+    });
+    add("soft", &|s| {
+        s.transfer.preset = Some("ct-bones-and-muscle".into())
+    });
     add("gradient opacity", &|s| {
-        s.transfer.gradient_opacity = vec![GradientPoint { magnitude: 0.0, factor: 0.0 }, GradientPoint { magnitude: 300.0, factor: 1.0 }];
+        s.transfer.gradient_opacity = vec![
+            GradientPoint {
+                magnitude: 0.0,
+                factor: 0.0,
+            },
+            GradientPoint {
+                magnitude: 300.0,
+                factor: 1.0,
+            },
+        ];
     });
     add("mip", &|s| s.transfer.preset = Some("ct-mip".into()));
     add("minip", &|s| s.transfer.preset = Some("ct-minip".into()));
@@ -211,20 +319,47 @@ fn counts_agree() {
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let by_cpu = cpu::render(&prepared).stats.unwrap();
-    let by_gpu = with_renderer(|r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
+    let by_gpu = with_renderer(|r| r.render(&prepared, true, &Watch::NONE).unwrap())
+        .stats
+        .unwrap();
     let close = |a: u64, b: u64| a > 0 && (a as f64 - b as f64).abs() <= 0.005 * a as f64;
-    assert!(close(by_cpu.samples_taken, by_gpu.samples_taken), "{by_cpu:?} {by_gpu:?}");
-    assert!(close(by_cpu.samples_skipped, by_gpu.samples_skipped), "{by_cpu:?} {by_gpu:?}");
-    assert!(close(by_cpu.samples_terminated, by_gpu.samples_terminated), "{by_cpu:?} {by_gpu:?}");
+    assert!(
+        close(by_cpu.samples_taken, by_gpu.samples_taken),
+        "{by_cpu:?} {by_gpu:?}"
+    );
+    assert!(
+        close(by_cpu.samples_skipped, by_gpu.samples_skipped),
+        "{by_cpu:?} {by_gpu:?}"
+    );
+    assert!(
+        close(by_cpu.samples_terminated, by_gpu.samples_terminated),
+        "{by_cpu:?} {by_gpu:?}"
+    );
     // With compute invocations each pixel is counted once as well, also if a band extends beyond
     // the picture.
     scene.render.size = [700, 397];
     let prepared = Prepared::new(&scene, &assets).unwrap();
-    let fragments = with_strategy(Strategy { compute_rays: false, ..PREPARE }, |r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
-    let invocations = with_strategy(PREPARE, |r| r.render(&prepared, true, &Watch::NONE).unwrap()).stats.unwrap();
+    let fragments = with_strategy(
+        Strategy {
+            compute_rays: false,
+            ..PREPARE
+        },
+        |r| r.render(&prepared, true, &Watch::NONE).unwrap(),
+    )
+    .stats
+    .unwrap();
+    let invocations = with_strategy(PREPARE, |r| r.render(&prepared, true, &Watch::NONE).unwrap())
+        .stats
+        .unwrap();
     let same = |a: u64, b: u64| a > 0 && (a as f64 - b as f64).abs() <= 1e-4 * a as f64;
-    assert!(same(fragments.samples_taken, invocations.samples_taken), "{fragments:?} {invocations:?}");
-    assert!(same(fragments.samples_skipped, invocations.samples_skipped), "{fragments:?} {invocations:?}");
+    assert!(
+        same(fragments.samples_taken, invocations.samples_taken),
+        "{fragments:?} {invocations:?}"
+    );
+    assert!(
+        same(fragments.samples_skipped, invocations.samples_skipped),
+        "{fragments:?} {invocations:?}"
+    );
 }
 
 /// A stack composed on the device equals the one composed on the CPU: eleven maps, some of them
@@ -233,7 +368,11 @@ fn composition_agrees() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
     for n in 0..11 {
         let mut d = Deformation::new(["wave", "twist", "bulge", "spline-pull", "wave"][n % 5]);
-        (d.progress, d.resolution, d.rotate) = (Some(0.25), Some(40), Some([15.0 * n as f32, 25.0, 5.0 * n as f32]));
+        (d.progress, d.resolution, d.rotate) = (
+            Some(0.25),
+            Some(40),
+            Some([15.0 * n as f32, 25.0, 5.0 * n as f32]),
+        );
         d.add = n == 2 || n == 3;
         scene.deformation.push(d);
     }
@@ -258,7 +397,10 @@ fn composition_agrees() {
     scene.camera.view = "30,30".parse().unwrap();
     for mode in [Mode::Raycast, Mode::Slice] {
         scene.render.mode = mode;
-        agree(&format!("composed, {mode:?}"), &Prepared::new(&scene, &assets).unwrap());
+        agree(
+            &format!("composed, {mode:?}"),
+            &Prepared::new(&scene, &assets).unwrap(),
+        );
     }
 }
 
@@ -267,7 +409,11 @@ fn eight_maps_agree() {
     scene.render.size = [96, 96];
     scene.camera.view = "30,30".parse().unwrap();
     for kind in ["wave", "twist", "pull", "seam", "knife", "slab", "peel", "book"] {
-        scene.deformation.push(Deformation { progress: Some(0.4), resolution: Some(32), ..Deformation::new(kind) });
+        scene.deformation.push(Deformation {
+            progress: Some(0.4),
+            resolution: Some(32),
+            ..Deformation::new(kind)
+        });
     }
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
@@ -304,7 +450,11 @@ fn strategies_agree() {
         // Compute first, since results of the fragment path would otherwise remain in the target.
         for compute_rays in [true, false] {
             agree_by(&format!("{name}, compute_rays {compute_rays}"), &prepared, |r| {
-                let own = r.set_strategy(Strategy { exact_filter: true, compute_rays, prepare: false });
+                let own = r.set_strategy(Strategy {
+                    exact_filter: true,
+                    compute_rays,
+                    prepare: false,
+                });
                 let rendered = r.render(&prepared, false, &Watch::NONE);
                 r.set_strategy(own);
                 rendered

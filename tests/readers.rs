@@ -23,7 +23,9 @@ pub fn fixtures() -> PathBuf {
 }
 
 fn shared(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../shared/data")
+        .join(name);
     if !path.exists() {
         println!("{name} is not here: it was not checked");
     }
@@ -39,7 +41,11 @@ pub fn read(path: &Path, choice: &ReadOptions) -> incise::Result<Volume> {
 }
 
 fn incise(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_incise")).args(arguments).env_remove("DISPLAY").output().unwrap()
+    Command::new(env!("CARGO_BIN_EXE_incise"))
+        .args(arguments)
+        .env_remove("DISPLAY")
+        .output()
+        .unwrap()
 }
 
 fn vector(v: &Value) -> DVec3 {
@@ -48,8 +54,18 @@ fn vector(v: &Value) -> DVec3 {
 
 /// Largest distance between two affines at a grid's corners, mm.
 fn apart(a: &DAffine3, b: &DAffine3, size: [usize; 3]) -> f64 {
-    let corner = |n: usize| DVec3::from_array(std::array::from_fn(|c| if n >> c & 1 == 1 { (size[c] - 1) as f64 } else { 0.0 }));
-    (0..8).map(|n| (a.transform_point3(corner(n)) - b.transform_point3(corner(n))).length()).fold(0.0, f64::max)
+    let corner = |n: usize| {
+        DVec3::from_array(std::array::from_fn(|c| {
+            if n >> c & 1 == 1 {
+                (size[c] - 1) as f64
+            } else {
+                0.0
+            }
+        }))
+    };
+    (0..8)
+        .map(|n| (a.transform_point3(corner(n)) - b.transform_point3(corner(n))).length())
+        .fold(0.0, f64::max)
 }
 
 /// One phantom as written by SimpleITK, nibabel, pynrrd, VTK, tifffile, Pillow, NumPy, Zarr and
@@ -57,21 +73,43 @@ fn apart(a: &DAffine3, b: &DAffine3, size: [usize; 3]) -> f64 {
 pub fn one_phantom_in_every_format() {
     let phantom_json = json("phantom.json");
     let size: [usize; 3] = std::array::from_fn(|n| phantom_json["size"][n].as_u64().unwrap() as usize);
-    let values: Vec<f64> = phantom_json["values"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+    let values: Vec<f64> = phantom_json["values"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_f64().unwrap())
+        .collect();
     let spacing = vector(&phantom_json["spacing_mm"]);
     let rows: [DVec3; 3] = std::array::from_fn(|r| vector(&phantom_json["direction"][r]));
     let direction = DMat3::from_cols(rows[0], rows[1], rows[2]).transpose();
-    let whole = DAffine3 { matrix3: direction * DMat3::from_diagonal(spacing), translation: vector(&phantom_json["origin_mm"]) };
+    let whole = DAffine3 {
+        matrix3: direction * DMat3::from_diagonal(spacing),
+        translation: vector(&phantom_json["origin_mm"]),
+    };
     let files = phantom_json["files"].as_object().unwrap();
     for (name, file) in files {
-        let choice = ReadOptions { time: file["time"].as_u64().map(|t| t as usize), ..ReadOptions::default() };
+        let choice = ReadOptions {
+            time: file["time"].as_u64().map(|t| t as usize),
+            ..ReadOptions::default()
+        };
         let v = read(&fixtures().join("phantom").join(name), &choice).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(v.size, size, "{name}");
-        let (added, modulo) = (file["added"].as_f64().unwrap_or(0.0), file["modulo"].as_f64().unwrap_or(0.0));
-        let (slope, intercept) = (file["rescale"][0].as_f64().unwrap_or(1.0), file["rescale"][1].as_f64().unwrap_or(0.0));
+        let (added, modulo) = (
+            file["added"].as_f64().unwrap_or(0.0),
+            file["modulo"].as_f64().unwrap_or(0.0),
+        );
+        let (slope, intercept) = (
+            file["rescale"][0].as_f64().unwrap_or(1.0),
+            file["rescale"][1].as_f64().unwrap_or(0.0),
+        );
         for (n, value) in values.iter().enumerate() {
             let stored = value + added;
-            let want = if modulo > 0.0 { stored.rem_euclid(modulo) } else { stored } * slope + intercept;
+            let want = if modulo > 0.0 {
+                stored.rem_euclid(modulo)
+            } else {
+                stored
+            } * slope
+                + intercept;
             let (i, j, k) = (n % size[0], n / size[0] % size[1], n / size[0] / size[1]);
             assert_eq!(v.value(i, j, k), want, "{name} at {i} {j} {k}");
         }
@@ -79,7 +117,10 @@ pub fn one_phantom_in_every_format() {
         assert_eq!(v.voxels.type_name(), kept, "{name}");
         let want = match file["states"].as_str().unwrap() {
             "all" => whole,
-            "axes" => DAffine3 { matrix3: DMat3::from_diagonal(spacing), ..whole },
+            "axes" => DAffine3 {
+                matrix3: DMat3::from_diagonal(spacing),
+                ..whole
+            },
             "spacing" => DAffine3::from_scale(spacing),
             _ => DAffine3::IDENTITY,
         };
@@ -92,7 +133,10 @@ pub fn one_phantom_in_every_format() {
             v.warnings
         );
     }
-    println!("{} files of one phantom are equal, geometry to 1e-4 mm where the format states it", files.len());
+    println!(
+        "{} files of one phantom are equal, geometry to 1e-4 mm where the format states it",
+        files.len()
+    );
 }
 
 /// CRC of the stored bytes of a volume or image, least significant first.
@@ -124,18 +168,31 @@ pub fn scans_are_what_peers_read() {
                 // Encodings that cannot be decoded are reported: JPEG-LS without its feature, and
                 // 12-bit lossy JPEG.
                 let text = e.to_string();
-                let jpeg_ls = text.contains("JPEG-LS") && text.contains("feature jpeg-ls") && !cfg!(feature = "jpeg-ls");
+                let jpeg_ls = text.contains("JPEG-LS")
+                    && text.contains("feature jpeg-ls")
+                    && !cfg!(feature = "jpeg-ls");
                 assert!(jpeg_ls || text.contains("12-bit lossy JPEG"), "{text}");
                 continue;
             }
         };
         assert_eq!(serde_json::json!(image.size), want["size"], "{name}");
-        assert_eq!((image.rescale.slope, image.rescale.intercept), (want["slope"].as_f64().unwrap(), want["intercept"].as_f64().unwrap()), "{name}");
+        assert_eq!(
+            (image.rescale.slope, image.rescale.intercept),
+            (
+                want["slope"].as_f64().unwrap(),
+                want["intercept"].as_f64().unwrap()
+            ),
+            "{name}"
+        );
         if want["affine"].is_array() {
-            let row = |r: usize| -> [f64; 4] { std::array::from_fn(|c| want["affine"][r][c].as_f64().unwrap()) };
+            let row =
+                |r: usize| -> [f64; 4] { std::array::from_fn(|c| want["affine"][r][c].as_f64().unwrap()) };
             let [x, y, z] = [row(0), row(1), row(2)];
             let column = |c: usize| DVec3::new(x[c], y[c], z[c]);
-            let affine = DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) };
+            let affine = DAffine3 {
+                matrix3: DMat3::from_cols(column(0), column(1), column(2)),
+                translation: column(3),
+            };
             let off = apart(&image.world_from_voxel, &affine, image.size);
             assert!(off < 1e-4, "{name}: {off} mm off");
         }
@@ -144,27 +201,51 @@ pub fn scans_are_what_peers_read() {
             for sample in want["samples"].as_array().unwrap() {
                 let (n, value) = (sample[0].as_u64().unwrap() as usize, sample[1].as_f64().unwrap());
                 // Decoders may round an inverse cosine or wavelet transform differently.
-                assert!((image.voxels.get(n) - value).abs() <= 2.0, "{name} at {n}: {} for {value}", image.voxels.get(n));
+                assert!(
+                    (image.voxels.get(n) - value).abs() <= 2.0,
+                    "{name} at {n}: {} for {value}",
+                    image.voxels.get(n)
+                );
             }
             continue;
         }
         exact += 1;
         assert_eq!(image.voxels.type_name(), want["type"].as_str().unwrap(), "{name}");
-        assert_eq!(u64::from(crc(&image.voxels)), want["crc32"].as_u64().unwrap(), "{name}");
+        assert_eq!(
+            u64::from(crc(&image.voxels)),
+            want["crc32"].as_u64().unwrap(),
+            "{name}"
+        );
     }
     println!("{exact} files equal bit for bit, {lossy} lossy ones within 2 of the stored values");
     assert!(exact >= 30 && lossy >= 2, "{exact} {lossy}");
     // One thorax twice, with the same voxels; VTI cannot store that two of its axes are flipped.
-    let [mha, vti] = ["ct/LIDC2_thorax.mha", "ct/LIDC2_thorax.vti"].map(|n| read(&folder.join(n), &ReadOptions::default()).unwrap());
+    let [mha, vti] = ["ct/LIDC2_thorax.mha", "ct/LIDC2_thorax.vti"]
+        .map(|n| read(&folder.join(n), &ReadOptions::default()).unwrap());
     assert_eq!(crc(&mha.voxels), crc(&vti.voxels));
     assert!((mha.spacing_mm() - vti.spacing_mm()).abs().max_element() < 1e-9);
-    assert!(vti.warnings.iter().any(|w| w.contains("does not state its patient orientation")) && mha.warnings.is_empty());
+    assert!(
+        vti.warnings
+            .iter()
+            .any(|w| w.contains("does not state its patient orientation"))
+            && mha.warnings.is_empty()
+    );
     // Every file of these folders opens or was reported above.
-    for sub in ["ct", "mri", "labels", "rgb", "dicom/ct_all_syntaxes", "dicom/misc"] {
+    for sub in [
+        "ct",
+        "mri",
+        "labels",
+        "rgb",
+        "dicom/ct_all_syntaxes",
+        "dicom/misc",
+    ] {
         for entry in std::fs::read_dir(folder.join(sub)).unwrap().flatten() {
             if let Err(e) = read(&entry.path(), &ReadOptions::default()) {
                 let text = e.to_string();
-                assert!(text.contains("JPEG-LS") || text.contains("12-bit lossy JPEG"), "{text}");
+                assert!(
+                    text.contains("JPEG-LS") || text.contains("12-bit lossy JPEG"),
+                    "{text}"
+                );
                 println!("refused: {}", text.replace(&*folder.to_string_lossy(), ""));
             }
         }
@@ -190,7 +271,11 @@ fn world_value(p: DVec3) -> i16 {
 
 /// A grid over one world box in some orientation, and its values.
 fn oriented(direction: &DMat3) -> (GridGeometry, Vec<i16>) {
-    let (low, spacing, extent) = (DVec3::new(-12.0, 31.0, 8.0), DVec3::new(1.5, 2.0, 3.0), [5usize, 6, 7]);
+    let (low, spacing, extent) = (
+        DVec3::new(-12.0, 31.0, 8.0),
+        DVec3::new(1.5, 2.0, 3.0),
+        [5usize, 6, 7],
+    );
     let axis = |n: usize| (0..3).find(|&w| direction.col(n)[w] != 0.0).unwrap();
     let size: [usize; 3] = std::array::from_fn(|n| extent[axis(n)]);
     let mut origin = low;
@@ -202,9 +287,19 @@ fn oriented(direction: &DMat3) -> (GridGeometry, Vec<i16>) {
             origin[world] += spacing[world] * (extent[world] - 1) as f64;
         }
     }
-    let grid = GridGeometry { size, world_from_voxel: DAffine3 { matrix3: linear, translation: origin } };
+    let grid = GridGeometry {
+        size,
+        world_from_voxel: DAffine3 {
+            matrix3: linear,
+            translation: origin,
+        },
+    };
     let value = |n: usize| {
-        let p = DVec3::new((n % size[0]) as f64, (n / size[0] % size[1]) as f64, (n / size[0] / size[1]) as f64);
+        let p = DVec3::new(
+            (n % size[0]) as f64,
+            (n / size[0] % size[1]) as f64,
+            (n / size[0] / size[1]) as f64,
+        );
         world_value(grid.world_from_voxel.transform_point3(p))
     };
     let values = (0..size.iter().product()).map(value).collect();
@@ -215,10 +310,20 @@ fn oriented(direction: &DMat3) -> (GridGeometry, Vec<i16>) {
 fn is_the_world(v: &Volume, what: &str) {
     assert_eq!(v.voxels.len(), 5 * 6 * 7, "{what}");
     for n in 0..v.voxels.len() {
-        let (i, j, k) = (n % v.size[0], n / v.size[0] % v.size[1], n / v.size[0] / v.size[1]);
-        let p = v.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+        let (i, j, k) = (
+            n % v.size[0],
+            n / v.size[0] % v.size[1],
+            n / v.size[0] / v.size[1],
+        );
+        let p = v
+            .world_from_voxel
+            .transform_point3(DVec3::new(i as f64, j as f64, k as f64));
         let want = p.x * 2.0 + p.y * 11.0 - p.z * 37.0;
-        assert!((v.value(i, j, k) - want).abs() < 1e-3, "{what} at {p}: {} for {want}", v.value(i, j, k));
+        assert!(
+            (v.value(i, j, k) - want).abs() < 1e-3,
+            "{what} at {p}: {} for {want}",
+            v.value(i, j, k)
+        );
     }
 }
 
@@ -233,17 +338,30 @@ pub fn orientations_are_one_world() {
         let content = Content::Scalar(load::ScalarType::I16, Rescale::NONE);
         for ending in ["nii", "nii.gz", "nrrd", "mha", "vti"] {
             let path = folder.path().join(format!("{n}.{ending}"));
-            let mut writer = Writer::new(std::fs::File::create(&path).unwrap(), Format::of(&path).unwrap(), &grid, content).unwrap();
+            let mut writer = Writer::new(
+                std::fs::File::create(&path).unwrap(),
+                Format::of(&path).unwrap(),
+                &grid,
+                content,
+            )
+            .unwrap();
             writer.push(&bytes).unwrap();
             writer.finish().unwrap().flush().unwrap();
             let v = read(&path, &ReadOptions::default()).unwrap();
-            assert!(apart(&v.world_from_voxel, &grid.world_from_voxel, grid.size) < 1e-6 * 50.0, "{ending} {n}");
+            assert!(
+                apart(&v.world_from_voxel, &grid.world_from_voxel, grid.size) < 1e-6 * 50.0,
+                "{ending} {n}"
+            );
             is_the_world(&v, &format!("{ending}, orientation {n}"));
             let letters = v.orientation();
             for (axis, letter) in letters.chars().enumerate() {
                 let positive = "LPS".contains(letter);
                 let world = "LRPASI".find(letter).unwrap() / 2;
-                assert_eq!(direction.col(axis)[world], if positive { 1.0 } else { -1.0 }, "{letters}");
+                assert_eq!(
+                    direction.col(axis)[world],
+                    if positive { 1.0 } else { -1.0 },
+                    "{letters}"
+                );
             }
             count += 1;
         }
@@ -252,7 +370,12 @@ pub fn orientations_are_one_world() {
             dicom::write(&series, &grid, &values);
             let v = read(&series, &ReadOptions::default()).unwrap();
             let off = apart(&v.world_from_voxel, &grid.world_from_voxel, grid.size);
-            assert!(off < 1e-6, "DICOM {n}: {off} mm off: {:?} {:?}", v.world_from_voxel, grid.world_from_voxel);
+            assert!(
+                off < 1e-6,
+                "DICOM {n}: {off} mm off: {:?} {:?}",
+                v.world_from_voxel,
+                grid.world_from_voxel
+            );
             is_the_world(&v, &format!("DICOM, orientation {n}"));
             count += 1;
         }
@@ -263,15 +386,34 @@ pub fn orientations_are_one_world() {
 
 /// Loads can be cancelled, and report progress.
 pub fn loads_are_watched() {
-    for name in ["itk-gzip.nrrd", "dicom-explicit", "blosc-04.zarr", "pngs", "lzw.tif", "vtk-appended-zlib-64-raw.vti"] {
+    for name in [
+        "itk-gzip.nrrd",
+        "dicom-explicit",
+        "blosc-04.zarr",
+        "pngs",
+        "lzw.tif",
+        "vtk-appended-zlib-64-raw.vti",
+    ] {
         let path = fixtures().join("phantom").join(name);
         let seen = Mutex::new(Vec::new());
         let progress = |share: f32| seen.lock().unwrap().push(share);
         load::volume(&path, &ReadOptions::default(), &Watch::reporting(&progress)).unwrap();
         let seen = seen.into_inner().unwrap();
-        assert!(!seen.is_empty() && seen.iter().all(|s| (0.0..=1.0).contains(s)) && seen.last().is_some_and(|s| *s > 0.99), "{name}: {seen:?}");
+        assert!(
+            !seen.is_empty()
+                && seen.iter().all(|s| (0.0..=1.0).contains(s))
+                && seen.last().is_some_and(|s| *s > 0.99),
+            "{name}: {seen:?}"
+        );
         let cancel = AtomicBool::new(true);
-        let result = load::volume(&path, &ReadOptions::default(), &Watch { progress: &|_| (), cancel: &cancel });
+        let result = load::volume(
+            &path,
+            &ReadOptions::default(),
+            &Watch {
+                progress: &|_| (),
+                cancel: &cancel,
+            },
+        );
         assert!(matches!(result, Err(Error::Cancelled)), "{name}");
     }
 }
@@ -284,28 +426,64 @@ pub fn several_values_per_voxel() {
         std::fs::write(&path, bytes).unwrap();
         path
     };
-    let layout = |text: &str| ReadOptions { raw: Some(load::RawLayout::parse(text).unwrap()), ..ReadOptions::default() };
+    let layout = |text: &str| ReadOptions {
+        raw: Some(load::RawLayout::parse(text).unwrap()),
+        ..ReadOptions::default()
+    };
     let rgb = raw("rgb.raw", &[255, 0, 0, 0, 255, 0, 0, 0, 0, 255, 255, 255]);
     let v = read(&rgb, &layout("4x1x1:u8:components=3")).unwrap();
-    assert_eq!((v.components, [0, 1, 2, 3].map(|n| v.voxels.get(n))), (3, [53.0, 182.0, 0.0, 255.0]));
+    assert_eq!(
+        (v.components, [0, 1, 2, 3].map(|n| v.voxels.get(n))),
+        (3, [53.0, 182.0, 0.0, 255.0])
+    );
     assert!(v.colors.is_some());
-    let red = ReadOptions { channel: Some(1), ..layout("4x1x1:u8:components=3") };
+    let red = ReadOptions {
+        channel: Some(1),
+        ..layout("4x1x1:u8:components=3")
+    };
     let v = read(&rgb, &red).unwrap();
     assert_eq!([0, 1, 2, 3].map(|n| v.voxels.get(n)), [255.0, 0.0, 0.0, 255.0]);
     assert!(v.colors.is_none());
-    assert!(read(&rgb, &ReadOptions { channel: Some(4), ..red }).unwrap_err().to_string().contains("channel: 4 is out of range; the file has 3"));
+    assert!(
+        read(
+            &rgb,
+            &ReadOptions {
+                channel: Some(4),
+                ..red
+            }
+        )
+        .unwrap_err()
+        .to_string()
+        .contains("channel: 4 is out of range; the file has 3")
+    );
     // Two channels: green and magenta, each over its own range.
     let two = raw("two.raw", &[0, 0, 100, 0, 0, 50, 100, 50]);
     let v = read(&two, &layout("4x1x1:u8:components=2")).unwrap();
     assert_eq!([0, 1, 2, 3].map(|n| v.voxels.get(n)), [0.0, 255.0, 255.0, 255.0]);
-    assert_eq!(v.colors.unwrap().rgba8(0..4), [[0, 0, 0, 255], [0, 255, 0, 255], [255, 0, 255, 255], [255, 255, 255, 255]]);
+    assert_eq!(
+        v.colors.unwrap().rgba8(0..4),
+        [
+            [0, 0, 0, 255],
+            [0, 255, 0, 255],
+            [255, 0, 255, 255],
+            [255, 255, 255, 255]
+        ]
+    );
     let five = raw("five.raw", &[0; 5]);
-    assert!(read(&five, &layout("1x1x1:u8:components=5")).unwrap_err().to_string().contains("choose one with --channel (1 to 5)"));
+    assert!(
+        read(&five, &layout("1x1x1:u8:components=5"))
+            .unwrap_err()
+            .to_string()
+            .contains("choose one with --channel (1 to 5)")
+    );
     // Labels with names and colours from a segmentation.
     let header = "NRRD0004\ntype: uchar\ndimension: 3\nspace: LPS\nsizes: 2 1 1\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nencoding: raw\nendian: little\nSegment0_LabelValue:=7\nSegment0_Name:=liver\nSegment0_Color:=1 0.5 0\n\n";
     let path = raw("a.seg.nrrd", &[header.as_bytes(), &[7, 0]].concat());
     let v = read(&path, &ReadOptions::default()).unwrap();
-    assert_eq!((v.labels(), v.label_table[0].name.as_str(), v.label_table[0].color), (Some(1), "liver", Some([255, 128, 0])));
+    assert_eq!(
+        (v.labels(), v.label_table[0].name.as_str(), v.label_table[0].color),
+        (Some(1), "liver", Some([255, 128, 0]))
+    );
     let liver = fixtures().join("liver.dcm");
     let v = read(&liver, &ReadOptions::default()).unwrap();
     assert_eq!((v.labels(), v.size), (Some(1), [512, 512, 3]));
@@ -348,11 +526,19 @@ pub fn a_gigabyte_needs_little_more() {
         "--preset",
         "mr-default",
     ]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     let peak = report["peak_memory_bytes"].as_f64().unwrap();
     let voxels = (edge * edge * edge) as f64;
-    println!("1024^3 u8: peak {:.2} GiB, {:.2} of the voxels", peak / f64::from(1 << 30), peak / voxels);
+    println!(
+        "1024^3 u8: peak {:.2} GiB, {:.2} of the voxels",
+        peak / f64::from(1 << 30),
+        peak / voxels
+    );
     assert!(peak < 2.2 * voxels + 200e6 && peak < 4.0 * f64::from(1 << 30));
     let image = image::open(&picture).unwrap().to_rgb8();
     let differs = image.pixels().filter(|p| **p != *image.get_pixel(0, 0)).count();

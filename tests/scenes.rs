@@ -9,15 +9,24 @@ use std::path::PathBuf;
 /// The scene files, by name.
 pub fn files() -> Vec<PathBuf> {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes");
-    let mut files: Vec<PathBuf> =
-        std::fs::read_dir(folder).unwrap().flatten().map(|e| e.path()).filter(|p| p.extension().is_some_and(|e| e == "toml")).collect();
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .flatten()
+        .map(|e| e.path())
+        .filter(|p| p.extension().is_some_and(|e| e == "toml"))
+        .collect();
     files.sort();
     assert!(files.len() >= 20, "{files:?}");
     files
 }
 
 pub fn load(name: &str) -> Scene {
-    Scene::load(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("volumes").join(format!("{name}.toml"))).unwrap()
+    Scene::load(
+        &std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("volumes")
+            .join(format!("{name}.toml")),
+    )
+    .unwrap()
 }
 
 pub fn assets(scene: &Scene) -> Assets {
@@ -30,14 +39,24 @@ pub fn every_scene_loads_and_comes_back() {
         let mut again = Scene::from_toml(&scene.to_toml().unwrap()).unwrap();
         again.folder.clone_from(&scene.folder);
         assert_eq!(again, scene, "{}", file.display());
-        assert!(scene.volume_name().starts_with("phantom:") || scene.volume_path().is_none_or(|p| p.is_file()));
+        assert!(
+            scene.volume_name().starts_with("phantom:") || scene.volume_path().is_none_or(|p| p.is_file())
+        );
     }
 }
 
 /// Deformed and cut scenes, both modes: skipping and early ray termination change no pixel by more
 /// than one 8-bit step.
 pub fn skipping_and_termination_change_nothing() {
-    for name in ["head-peel", "head-quadrant", "head-slabs", "piggy-bank-4", "tomato-wave-then-peel", "teddy-seam", "pull"] {
+    for name in [
+        "head-peel",
+        "head-quadrant",
+        "head-slabs",
+        "piggy-bank-4",
+        "tomato-wave-then-peel",
+        "teddy-seam",
+        "pull",
+    ] {
         let mut scene = load(name);
         let assets = assets(&scene);
         scene.render.size = [96, 96];
@@ -56,12 +75,24 @@ pub fn skipping_and_termination_change_nothing() {
             for (skipping, termination) in [(true, false), (false, true), (true, true)] {
                 let r = render(skipping, termination);
                 let d = difference(&neither.picture, &r.picture).unwrap();
-                println!("{name} {mode:?}: skipping {skipping}, termination {termination}: max {:.3}/255", d.max / STEP);
-                assert!(d.max <= STEP, "{name} {mode:?} skipping {skipping}, termination {termination}: {d:?}");
+                println!(
+                    "{name} {mode:?}: skipping {skipping}, termination {termination}: max {:.3}/255",
+                    d.max / STEP
+                );
+                assert!(
+                    d.max <= STEP,
+                    "{name} {mode:?} skipping {skipping}, termination {termination}: {d:?}"
+                );
                 let (with, without) = (r.stats.unwrap(), stats);
-                assert!(with.samples_taken < without.samples_taken * 9 / 10, "{name}: {with:?} against {without:?}");
+                assert!(
+                    with.samples_taken < without.samples_taken * 9 / 10,
+                    "{name}: {with:?} against {without:?}"
+                );
                 if skipping && !termination {
-                    assert!(d.max == 0.0, "{name} {mode:?}: skipping changed a sample that shows: {d:?}");
+                    assert!(
+                        d.max == 0.0,
+                        "{name} {mode:?}: skipping changed a sample that shows: {d:?}"
+                    );
                 }
             }
         }
@@ -80,8 +111,15 @@ pub fn halving_the_step_changes_little() {
                 picture(&Prepared::new(&scene, &assets).unwrap())
             };
             let d = difference(&at(1.0), &at(0.5)).unwrap();
-            println!("{name} {mode:?}: step halved, mean change {:.3}/255", d.mean / STEP);
-            assert!(d.mean > 0.0 && d.mean < 2.0 * STEP, "{name} {mode:?}: {}/255", d.mean / STEP);
+            println!(
+                "{name} {mode:?}: step halved, mean change {:.3}/255",
+                d.mean / STEP
+            );
+            assert!(
+                d.mean > 0.0 && d.mean < 2.0 * STEP,
+                "{name} {mode:?}: {}/255",
+                d.mean / STEP
+            );
         }
     }
 }
@@ -111,9 +149,19 @@ pub fn what_holds_a_volume_is_kept() {
 /// front of the cut.
 pub fn cuts_are_lit_alike_at_every_step() {
     let camera = "[camera]\nview = \"30,30\"\nzoom = 1.6\n[[deformation]]\nkind = \"box\"\n";
-    for (volume, rest) in [("phantom:ball:size=64", camera), ("volumes/colin27-head-t1.nii.gz", "[camera]\nview = \"anterior\"\n")] {
+    for (volume, rest) in [
+        ("phantom:ball:size=64", camera),
+        (
+            "volumes/colin27-head-t1.nii.gz",
+            "[camera]\nview = \"anterior\"\n",
+        ),
+    ] {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(volume);
-        let path = if volume.starts_with("phantom") { volume } else { path.to_str().unwrap() };
+        let path = if volume.starts_with("phantom") {
+            volume
+        } else {
+            path.to_str().unwrap()
+        };
         let mut scene = Scene::from_toml(&format!("incise = 1\n[volume]\npath = '{path}'\n{rest}")).unwrap();
         scene.render.size = [128, 128];
         let assets = assets(&scene);
@@ -125,8 +173,14 @@ pub fn cuts_are_lit_alike_at_every_step() {
             };
             incise::compare::difference(&at(1.0), &at(0.125)).unwrap().rms()
         });
-        println!("{volume}: step 1 against 1/8, RMS {:.2} of 255; without the normals of cuts {:.2}", change[0], change[1]);
-        assert!(change[1] > 0.5 && change[0] < 1.15 * change[1], "{volume}: {change:?}");
+        println!(
+            "{volume}: step 1 against 1/8, RMS {:.2} of 255; without the normals of cuts {:.2}",
+            change[0], change[1]
+        );
+        assert!(
+            change[1] > 0.5 && change[0] < 1.15 * change[1],
+            "{volume}: {change:?}"
+        );
     }
 }
 
@@ -145,8 +199,14 @@ pub fn slices_approach_rays() {
             };
             difference(&by(Mode::Slice), &by(Mode::Raycast)).unwrap().mean
         });
-        println!("{name}: slices against rays at steps 2, 1, 0.5, 0.25: mean {:.3?}/255", differences.map(|d| d / STEP));
-        assert!(differences[3] > 0.0 && differences.windows(2).all(|w| w[1] < w[0]), "{name}: {differences:?}");
+        println!(
+            "{name}: slices against rays at steps 2, 1, 0.5, 0.25: mean {:.3?}/255",
+            differences.map(|d| d / STEP)
+        );
+        assert!(
+            differences[3] > 0.0 && differences.windows(2).all(|w| w[1] < w[0]),
+            "{name}: {differences:?}"
+        );
         assert!(differences[3] < 0.5 * differences[0]);
     }
 }
@@ -158,7 +218,11 @@ pub fn order_of_deformations_matters() {
     a.deformation.reverse();
     (a.render.size, b.render.size) = ([128, 128], [128, 128]);
     let assets = assets(&a);
-    let d = difference(&picture(&Prepared::new(&a, &assets).unwrap()), &picture(&Prepared::new(&b, &assets).unwrap())).unwrap();
+    let d = difference(
+        &picture(&Prepared::new(&a, &assets).unwrap()),
+        &picture(&Prepared::new(&b, &assets).unwrap()),
+    )
+    .unwrap();
     assert!(d.mean > 2.0 * STEP, "{d:?}");
 }
 
@@ -184,7 +248,11 @@ pub fn left_is_left() {
     assert!(left > 20.0 && right < -20.0, "{left} {right}");
     // Only label 1 opaque.
     scene.transfer.points = [(0.4, 0.0), (0.6, 0.9), (1.4, 0.9), (1.6, 0.0)]
-        .map(|(value, opacity)| incise::transfer::ControlPoint { value, color: [1.0; 3], opacity })
+        .map(|(value, opacity)| incise::transfer::ControlPoint {
+            value,
+            color: [1.0; 3],
+            opacity,
+        })
         .to_vec();
     scene.deformation.clear();
     scene.render.size = [128, 128];
@@ -192,9 +260,16 @@ pub fn left_is_left() {
     // The edges of all labels pass through label 1's value: weight by opacity.
     let (mut on_left, mut on_right) = (0.0, 0.0);
     for (n, pixel) in p.pixels.iter().enumerate() {
-        if n % 128 < 64 { on_left += pixel[3] } else { on_right += pixel[3] }
+        if n % 128 < 64 {
+            on_left += pixel[3]
+        } else {
+            on_right += pixel[3]
+        }
     }
-    assert!(on_right > 1.1 * on_left, "label Precentral_L shows {on_left} on the left half, {on_right} on the right");
+    assert!(
+        on_right > 1.1 * on_left,
+        "label Precentral_L shows {on_left} on the left half, {on_right} on the right"
+    );
 }
 
 /// An empty picture comes with the reason in one line.
@@ -206,16 +281,42 @@ pub fn empty_pictures_say_why() {
         )
     };
     for (text, words) in [
-        (format!("{volume}[[deformation]]\nkind = \"box\"\ncenter = [0, 0, 0]\nsize = 2000.0"), "everything is cut away"),
-        (format!("{volume}[[deformation]]\nkind = \"knife\"\n[[deformation]]\nkind = \"box\"\ncenter = [0, 0, 0]\nsize = 2000.0"), "is cut away"),
-        (format!("{volume}[camera]\ntarget = [5000.0, 0.0, 0.0]"), "reset camera.target"),
+        (
+            format!("{volume}[[deformation]]\nkind = \"box\"\ncenter = [0, 0, 0]\nsize = 2000.0"),
+            "everything is cut away",
+        ),
+        (
+            format!(
+                "{volume}[[deformation]]\nkind = \"knife\"\n[[deformation]]\nkind = \"box\"\ncenter = [0, 0, 0]\nsize = 2000.0"
+            ),
+            "is cut away",
+        ),
+        (
+            format!("{volume}[camera]\ntarget = [5000.0, 0.0, 0.0]"),
+            "reset camera.target",
+        ),
         (format!("{volume}[render]\niso = 9000.0"), "no surface at 9000"),
-        (format!("{volume}[render]\nmode = \"surface\"\n[surface]\niso = 9000.0"), "no surface at 9000"),
-        (format!("{volume}[render]\nmode = \"surface\"\n[[mesh]]\niso = 9000.0"), "no surface at 9000"),
+        (
+            format!("{volume}[render]\nmode = \"surface\"\n[surface]\niso = 9000.0"),
+            "no surface at 9000",
+        ),
+        (
+            format!("{volume}[render]\nmode = \"surface\"\n[[mesh]]\niso = 9000.0"),
+            "no surface at 9000",
+        ),
         (format!("{volume}[render]\nstep = 64.0"), "reduce render.step"),
-        (format!("{volume}[transfer]\ndensity = 0.0"), "transfer.density is 0"),
-        (format!("{volume}[transfer]\nwindow = 1.0\nlevel = 1e6"), "transparent"),
-        (format!("{volume}[transfer]\nblend = \"mip\"\nwindow = 1.0\nlevel = 1e6"), "transparent"),
+        (
+            format!("{volume}[transfer]\ndensity = 0.0"),
+            "transfer.density is 0",
+        ),
+        (
+            format!("{volume}[transfer]\nwindow = 1.0\nlevel = 1e6"),
+            "transparent",
+        ),
+        (
+            format!("{volume}[transfer]\nblend = \"mip\"\nwindow = 1.0\nlevel = 1e6"),
+            "transparent",
+        ),
         (
             format!(
                 "{volume}[[transfer.gradient_opacity]]\nmagnitude = 0.0\nfactor = 0.0\n[[transfer.gradient_opacity]]\nmagnitude = 1e9\nfactor = 0.0"
@@ -225,7 +326,8 @@ pub fn empty_pictures_say_why() {
         (solid("subtract", [0.0; 3], 20.0), "has no interior"),
         (solid("intersect", [90.0, 0.0, 0.0], 10.0), "has no interior"),
     ] {
-        let mut scene = Scene::from_toml(&format!("incise = 1\n{text}")).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        let mut scene =
+            Scene::from_toml(&format!("incise = 1\n{text}")).unwrap_or_else(|e| panic!("{e}\n{text}"));
         scene.render.size = [32, 32];
         if scene.volume.is_none() {
             scene.render.mode = Mode::Surface;
@@ -233,12 +335,23 @@ pub fn empty_pictures_say_why() {
         let assets = assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap_or_else(|e| panic!("{e}\n{text}"));
         let rendered = incise::cpu::render(&prepared);
-        let warnings: Vec<String> = rendered.notices.into_iter().chain(assets.library.notices()).collect();
+        let warnings: Vec<String> = rendered
+            .notices
+            .into_iter()
+            .chain(assets.library.notices())
+            .collect();
         assert!(rendered.picture.is_blank(), "{text}");
-        assert!(warnings.iter().any(|line| line.contains(words)), "{text}\n{warnings:?}");
+        assert!(
+            warnings.iter().any(|line| line.contains(words)),
+            "{text}\n{warnings:?}"
+        );
     }
     // A picture that is not empty has no such notice.
     let scene = Scene::of_volume("phantom:head-ct:size=16");
     let assets = assets(&scene);
-    assert!(incise::cpu::render(&Prepared::new(&scene, &assets).unwrap()).notices.is_empty());
+    assert!(
+        incise::cpu::render(&Prepared::new(&scene, &assets).unwrap())
+            .notices
+            .is_empty()
+    );
 }

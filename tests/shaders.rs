@@ -3,13 +3,14 @@
 
 use incise::gpu::shaders::Program;
 use incise::render::uniforms::{
-    ClassificationUniform, CutShapeUniform, DeformerUniform, FrameUniform, LevelUniform, MapDefinitionUniform, NodeBounds, PlacedMapUniform,
-    PlacedSolidUniform, SurfaceObjectUniform,
+    ClassificationUniform, CutShapeUniform, DeformerUniform, FrameUniform, LevelUniform,
+    MapDefinitionUniform, NodeBounds, PlacedMapUniform, PlacedSolidUniform, SurfaceObjectUniform,
 };
 
 fn module(program: Program, counting: bool) -> naga::Module {
     let source = program.source(incise::render::constants::wgsl_constants(), counting);
-    naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{program:?}: {}", e.emit_to_string(&source)))
+    naga::front::wgsl::parse_str(&source)
+        .unwrap_or_else(|e| panic!("{program:?}: {}", e.emit_to_string(&source)))
 }
 
 pub fn every_program_is_valid() {
@@ -17,8 +18,13 @@ pub fn every_program_is_valid() {
         for counting in [false, true] {
             let module = module(program, counting);
             assert!(!module.entry_points.is_empty());
-            let mut validator = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::default());
-            validator.validate(&module).unwrap_or_else(|e| panic!("{program:?}: {e:?}"));
+            let mut validator = naga::valid::Validator::new(
+                naga::valid::ValidationFlags::all(),
+                naga::valid::Capabilities::default(),
+            );
+            validator
+                .validate(&module)
+                .unwrap_or_else(|e| panic!("{program:?}: {e:?}"));
         }
     }
 }
@@ -29,9 +35,13 @@ fn layout(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
         .types
         .iter()
         .find_map(|(_, t)| match &t.inner {
-            naga::TypeInner::Struct { members, span } if t.name.as_deref() == Some(name) => {
-                Some((members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span))
-            }
+            naga::TypeInner::Struct { members, span } if t.name.as_deref() == Some(name) => Some((
+                members
+                    .iter()
+                    .map(|m| (m.name.clone().unwrap(), m.offset))
+                    .collect(),
+                *span,
+            )),
             _ => None,
         })
         .unwrap_or_else(|| panic!("no struct {name}"))
@@ -84,8 +94,14 @@ pub fn counterparts_exist() {
                 ("CUT_LOOKBACK_STEPS: i32 = 4", "CUT_LOOKBACK_STEPS: u32 = 4"),
                 ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"),
                 ("FACE_STEPS: i32 = 10", "FACE_STEPS: u32 = 10"),
-                ("SURFACE_GRADIENT_LOW: f32 = 0.004", "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]"),
-                ("SURFACE_GRADIENT_HIGH: f32 = 0.04", "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]"),
+                (
+                    "SURFACE_GRADIENT_LOW: f32 = 0.004",
+                    "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]",
+                ),
+                (
+                    "SURFACE_GRADIENT_HIGH: f32 = 0.04",
+                    "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]",
+                ),
             ][..],
         ),
         (
@@ -102,15 +118,49 @@ pub fn counterparts_exist() {
         (
             "shaders/lib/stack.wgsl",
             "src/deform/texel.rs",
-            &[("MIN_MARKED_ALPHA: f32 = 2.0", "MIN_MARKED_ALPHA: f32 = 2.0"), ("MIN_MARKED_SLOPE: f32 = 4096.0", "MIN_MARKED_SLOPE: f32 = 4096.0")][..],
+            &[
+                ("MIN_MARKED_ALPHA: f32 = 2.0", "MIN_MARKED_ALPHA: f32 = 2.0"),
+                ("MIN_MARKED_SLOPE: f32 = 4096.0", "MIN_MARKED_SLOPE: f32 = 4096.0"),
+            ][..],
         ),
-        ("shaders/lib/formula.wgsl", "src/mesh/formula.rs", &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..]),
-        ("shaders/classify.wgsl", "src/deform/bounds.rs", &[("FLAT_DISPLACEMENT: f32 = 0.25", "FLAT_DISPLACEMENT: f32 = 0.25")][..]),
-        ("shaders/classify.wgsl", "src/transfer/table.rs", &[("LAST_ENTRY: f32 = 4095.0", "TABLE_ENTRIES: usize = 4096")][..]),
-        ("shaders/bounds.wgsl", "src/render/sample_map.rs", &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..]),
-        ("shaders/lib/cut.wgsl", "src/deform/cut.rs", &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..]),
-        ("shaders/lib/composite.wgsl", "src/cpu/mod.rs", &[("MIN_TRANSMITTANCE: f32 = 1.0 / 512.0", "MIN_TRANSMITTANCE: f32 = 1.0 / 512.0")][..]),
-        ("shaders/lib/march.wgsl", "src/prepare/macrocells.rs", &[("CUT_FREE_FLAG: u32 = 128u", "CUT_FREE_FLAG: u8 = 128")][..]),
+        (
+            "shaders/lib/formula.wgsl",
+            "src/mesh/formula.rs",
+            &[("GYROID_SLOPE: f32 = 1.75", "GYROID_SLOPE: f32 = 1.75")][..],
+        ),
+        (
+            "shaders/classify.wgsl",
+            "src/deform/bounds.rs",
+            &[("FLAT_DISPLACEMENT: f32 = 0.25", "FLAT_DISPLACEMENT: f32 = 0.25")][..],
+        ),
+        (
+            "shaders/classify.wgsl",
+            "src/transfer/table.rs",
+            &[("LAST_ENTRY: f32 = 4095.0", "TABLE_ENTRIES: usize = 4096")][..],
+        ),
+        (
+            "shaders/bounds.wgsl",
+            "src/render/sample_map.rs",
+            &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..],
+        ),
+        (
+            "shaders/lib/cut.wgsl",
+            "src/deform/cut.rs",
+            &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..],
+        ),
+        (
+            "shaders/lib/composite.wgsl",
+            "src/cpu/mod.rs",
+            &[(
+                "MIN_TRANSMITTANCE: f32 = 1.0 / 512.0",
+                "MIN_TRANSMITTANCE: f32 = 1.0 / 512.0",
+            )][..],
+        ),
+        (
+            "shaders/lib/march.wgsl",
+            "src/prepare/macrocells.rs",
+            &[("CUT_FREE_FLAG: u32 = 128u", "CUT_FREE_FLAG: u8 = 128")][..],
+        ),
         (
             "shaders/lib/transfer.wgsl",
             "src/transfer/table.rs",
@@ -136,12 +186,18 @@ pub fn sampled_textures_leave_room() {
     let mut most = 0;
     for program in Program::ALL {
         let module = module(program, true);
-        let sampled = module.global_variables.iter().filter(|(_, v)| match module.types[v.ty].inner {
-            naga::TypeInner::Image { class, .. } => !matches!(class, naga::ImageClass::Storage { .. }),
-            _ => false,
-        });
+        let sampled = module
+            .global_variables
+            .iter()
+            .filter(|(_, v)| match module.types[v.ty].inner {
+                naga::TypeInner::Image { class, .. } => !matches!(class, naga::ImageClass::Storage { .. }),
+                _ => false,
+            });
         let count = sampled.count();
-        assert!(count <= MAX_SAMPLED_TEXTURES, "{program:?} declares {count} sampled textures");
+        assert!(
+            count <= MAX_SAMPLED_TEXTURES,
+            "{program:?} declares {count} sampled textures"
+        );
         most = most.max(count);
     }
     println!("at most {most} sampled textures in a program");
@@ -166,20 +222,48 @@ const PAIRS: &[(&str, &str, &str)] = &[
          light=surface_light",
     ),
     ("src/cpu/mod.rs", "shaders/lib/volume.wgsl", "sample_scene"),
-    ("src/cpu/mod.rs", "shaders/lib/projection.wgsl", "color=projection_color"),
+    (
+        "src/cpu/mod.rs",
+        "shaders/lib/projection.wgsl",
+        "color=projection_color",
+    ),
     ("src/volume/sampler.rs", "shaders/lib/volume.wgsl", "gradient"),
-    ("src/deform/stack.rs", "shaders/lib/stack.wgsl", "nearer_of is_outside displacement source_and_alpha source_and_alpha_unclipped jet"),
+    (
+        "src/deform/stack.rs",
+        "shaders/lib/stack.wgsl",
+        "nearer_of is_outside displacement source_and_alpha source_and_alpha_unclipped jet",
+    ),
     (
         "src/deform/cut.rs",
         "shaders/lib/cut.wgsl",
         "signed_distance_mm=shape_signed_distance_mm signed_distance_mm=cuts_signed_distance_mm gradient=cuts_gradient \
          retained_part root=cut_root",
     ),
-    ("src/transfer/table.rs", "shaders/lib/transfer.wgsl", "lookup opacity_slope_sign gradient_factor"),
-    ("src/transfer/preintegrated.rs", "shaders/lib/transfer.wgsl", "depth=segment_depth lookup=lookup_segment"),
-    ("src/mesh/deformer.rs", "shaders/lib/deformer.wgsl", "bernstein local=deformer_local apply_all deform_vertex"),
-    ("src/mesh/formula.rs", "shaders/lib/formula.wgsl", "to_box distance=solid_distance distance=formula_distance"),
-    ("src/mesh/implicit.rs", "shaders/lib/implicit.wgsl", "value=implicit_value gradient=implicit_gradient"),
+    (
+        "src/transfer/table.rs",
+        "shaders/lib/transfer.wgsl",
+        "lookup opacity_slope_sign gradient_factor",
+    ),
+    (
+        "src/transfer/preintegrated.rs",
+        "shaders/lib/transfer.wgsl",
+        "depth=segment_depth lookup=lookup_segment",
+    ),
+    (
+        "src/mesh/deformer.rs",
+        "shaders/lib/deformer.wgsl",
+        "bernstein local=deformer_local apply_all deform_vertex",
+    ),
+    (
+        "src/mesh/formula.rs",
+        "shaders/lib/formula.wgsl",
+        "to_box distance=solid_distance distance=formula_distance",
+    ),
+    (
+        "src/mesh/implicit.rs",
+        "shaders/lib/implicit.wgsl",
+        "value=implicit_value gradient=implicit_gradient",
+    ),
     ("src/math/light.rs", "shaders/lib/light.wgsl", "shine"),
     ("src/math/mod.rs", "shaders/lib/math.wgsl", "normalize_or"),
     ("src/scene/camera.rs", "shaders/lib/march.wgsl", "ray=pixel_ray"),
@@ -190,10 +274,21 @@ fn functions(path: &str) -> Vec<String> {
     let text = std::fs::read_to_string(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap();
     let code = text.split("#[cfg(test)]").next().unwrap().to_owned();
     let name = |line: &str| {
-        let rest = line.trim_start().split_once("fn ").filter(|(before, _)| before.is_empty() || before.starts_with("pub"))?.1;
-        Some(rest.split(|c: char| !c.is_alphanumeric() && c != '_').next()?.to_owned())
+        let rest = line
+            .trim_start()
+            .split_once("fn ")
+            .filter(|(before, _)| before.is_empty() || before.starts_with("pub"))?
+            .1;
+        Some(
+            rest.split(|c: char| !c.is_alphanumeric() && c != '_')
+                .next()?
+                .to_owned(),
+        )
     };
-    code.lines().filter(|l| !l.trim_start().starts_with("//")).filter_map(name).collect()
+    code.lines()
+        .filter(|l| !l.trim_start().starts_with("//"))
+        .filter_map(name)
+        .collect()
 }
 
 /// Whether the names occur in the list in this order.
@@ -206,25 +301,47 @@ fn is_subsequence(names: &[&str], list: &[String]) -> bool {
 /// so that they can be read side by side.
 pub fn functions_are_paired() {
     for (rust, wgsl, pairs) in PAIRS {
-        let (ours, theirs): (Vec<&str>, Vec<&str>) = pairs.split_whitespace().map(|p| p.split_once('=').unwrap_or((p, p))).unzip();
+        let (ours, theirs): (Vec<&str>, Vec<&str>) = pairs
+            .split_whitespace()
+            .map(|p| p.split_once('=').unwrap_or((p, p)))
+            .unzip();
         for (file, names) in [(rust, ours), (wgsl, theirs)] {
             let list = functions(file);
-            assert!(is_subsequence(&names, &list), "{file} has not, in this order: {names:?}; it has {list:?}");
+            assert!(
+                is_subsequence(&names, &list),
+                "{file} has not, in this order: {names:?}; it has {list:?}"
+            );
         }
     }
     // A name in both files of a pair must be listed in the table.
     for (rust, wgsl, _) in PAIRS {
         let listed = |name: &str| {
-            PAIRS.iter().filter(|(_, w, _)| w == wgsl).any(|(_, _, pairs)| pairs.split_whitespace().any(|p| p.rsplit('=').next() == Some(name)))
+            PAIRS.iter().filter(|(_, w, _)| w == wgsl).any(|(_, _, pairs)| {
+                pairs
+                    .split_whitespace()
+                    .any(|p| p.rsplit('=').next() == Some(name))
+            })
         };
         let ours = functions(rust);
         for name in functions(wgsl).iter().filter(|n| ours.contains(n)) {
-            assert!(listed(name), "{rust} and {wgsl} both have {name}, which is no pair");
+            assert!(
+                listed(name),
+                "{rust} and {wgsl} both have {name}, which is no pair"
+            );
         }
     }
     // Every formula has a function of its name, in the order of the enum.
-    let source = std::fs::read_to_string(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/deform/formula.rs")).unwrap();
-    let body = source.split("pub enum FormulaKind {").nth(1).unwrap().split('}').next().unwrap();
+    let source = std::fs::read_to_string(
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/deform/formula.rs"),
+    )
+    .unwrap();
+    let body = source
+        .split("pub enum FormulaKind {")
+        .nth(1)
+        .unwrap()
+        .split('}')
+        .next()
+        .unwrap();
     let snake = |variant: &str| {
         let mut name = String::new();
         for c in variant.chars() {
@@ -235,8 +352,15 @@ pub fn functions_are_paired() {
         }
         name
     };
-    let formulas: Vec<String> = body.lines().filter_map(|l| l.trim().split_once(" = ")).map(|(variant, _)| snake(variant)).collect();
+    let formulas: Vec<String> = body
+        .lines()
+        .filter_map(|l| l.trim().split_once(" = "))
+        .map(|(variant, _)| snake(variant))
+        .collect();
     assert!(formulas.len() >= 16, "{formulas:?}");
     let names: Vec<&str> = formulas.iter().map(String::as_str).collect();
-    assert!(is_subsequence(&names, &functions("shaders/lib/kinds.wgsl")), "shaders/lib/kinds.wgsl has not, in this order: {names:?}");
+    assert!(
+        is_subsequence(&names, &functions("shaders/lib/kinds.wgsl")),
+        "shaders/lib/kinds.wgsl has not, in this order: {names:?}"
+    );
 }

@@ -28,11 +28,16 @@ fn field(mesh: &Mesh, settings: FieldSettings) -> MeshField {
 fn grid_points(f: &MeshField) -> impl Iterator<Item = (Vec3, f32)> {
     let [nx, ny, _] = f.grid.size;
     let place = f.grid.world_from_grid;
-    f.grid
-        .distance_mm
-        .iter()
-        .enumerate()
-        .map(move |(n, d)| (place.transform_point3(Vec3::new((n % nx) as f32, (n / nx % ny) as f32, (n / (nx * ny)) as f32)), *d))
+    f.grid.distance_mm.iter().enumerate().map(move |(n, d)| {
+        (
+            place.transform_point3(Vec3::new(
+                (n % nx) as f32,
+                (n / nx % ny) as f32,
+                (n / (nx * ny)) as f32,
+            )),
+            *d,
+        )
+    })
 }
 
 fn with_shape(kind: &str, radius: f32) -> MeshSource {
@@ -48,7 +53,10 @@ fn with_shape(kind: &str, radius: f32) -> MeshSource {
         period: None,
         wall: None,
     };
-    MeshSource { shape: vec![shape], ..MeshSource::default() }
+    MeshSource {
+        shape: vec![shape],
+        ..MeshSource::default()
+    }
 }
 
 /// A scene of a solid ball of 50 mm.
@@ -63,8 +71,14 @@ fn ball_scene() -> Scene {
 /// The map of p = L p' (about the origin), linear over a box of 300 mm.
 fn linear(l: Mat3) -> PlacedMap {
     let size = 300.0;
-    let map = DisplacementMap::from_fn([17; 3], Storage::F32, |x| TexelSample { displacement: (l - Mat3::IDENTITY) * (x - 0.5), alpha: 1.0 });
-    PlacedMap::new(std::sync::Arc::new(map), Placement::new(Vec3::ZERO, Vec3::splat(size), Vec3::ZERO).unwrap())
+    let map = DisplacementMap::from_fn([17; 3], Storage::F32, |x| TexelSample {
+        displacement: (l - Mat3::IDENTITY) * (x - 0.5),
+        alpha: 1.0,
+    });
+    PlacedMap::new(
+        std::sync::Arc::new(map),
+        Placement::new(Vec3::ZERO, Vec3::splat(size), Vec3::ZERO).unwrap(),
+    )
 }
 
 /// A sphere under a linear map is an ellipsoid: silhouette and depth within half a step, normals
@@ -75,22 +89,40 @@ pub fn deformed_sphere_is_the_ellipsoid() {
         let mut scene = ball_scene();
         scene.surface.steps = steps;
         let assets = scenes::assets(&scene);
-        let l = Mat3::from_cols(Vec3::new(1.4, 0.2, 0.0), Vec3::new(-0.1, 0.8, 0.3), Vec3::new(0.1, 0.0, 1.1));
+        let l = Mat3::from_cols(
+            Vec3::new(1.4, 0.2, 0.0),
+            Vec3::new(-0.1, 0.8, 0.3),
+            Vec3::new(0.1, 0.0, 1.1),
+        );
         let mut prepared = Prepared::with(&scene, &assets, &PrepareOptions::with_maps(&[linear(l)])).unwrap();
         for sampled in [false, true] {
             if sampled {
                 // The same ball as a mesh's distance field.
-                let f = field(&mesh, FieldSettings { resolution: 96, ..FieldSettings::default() });
-                prepared.surfaces.objects[0].implicit = Some(incise::mesh::Implicit::Grid(std::sync::Arc::new(f.grid)));
+                let f = field(
+                    &mesh,
+                    FieldSettings {
+                        resolution: 96,
+                        ..FieldSettings::default()
+                    },
+                );
+                prepared.surfaces.objects[0].implicit =
+                    Some(incise::mesh::Implicit::Grid(std::sync::Arc::new(f.grid)));
             }
             let object = &prepared.surfaces.objects[0];
             let (mut worst_t, mut worst_angle, mut hits, mut silhouette) = (0.0f32, 0.0f32, 0, 0);
             for y in 0..160 {
                 for x in 0..160 {
-                    let (o, d) = prepared.frame.view.ray((x as f32 + 0.5) / 80.0 - 1.0, 1.0 - (y as f32 + 0.5) / 80.0);
+                    let (o, d) = prepared
+                        .frame
+                        .view
+                        .ray((x as f32 + 0.5) / 80.0 - 1.0, 1.0 - (y as f32 + 0.5) / 80.0);
                     let got = trace(&prepared, object, o, d, &mut 0);
                     // |L (o + t d)| = 50.
-                    let (a, b, c) = ((l * d).length_squared(), (l * o).dot(l * d), (l * o).length_squared() - 2500.0);
+                    let (a, b, c) = (
+                        (l * d).length_squared(),
+                        (l * o).dot(l * d),
+                        (l * o).length_squared() - 2500.0,
+                    );
                     let root = b * b - a * c;
                     let want = (root >= 0.0).then(|| (-b - root.max(0.0).sqrt()) / a);
                     // Depth inside the silhouette, as a depth in the undeformed ball, mm.
@@ -106,13 +138,20 @@ pub fn deformed_sphere_is_the_ellipsoid() {
                             worst_t = worst_t.max(((t - want) * n.dot(d)).abs());
                             let exact = (l.transpose() * (l * (o + d * want))).normalize();
                             if inside > 1.0 {
-                                worst_angle = worst_angle.max(normal(&prepared, object, p, side).angle_between(exact).to_degrees());
+                                worst_angle = worst_angle.max(
+                                    normal(&prepared, object, p, side)
+                                        .angle_between(exact)
+                                        .to_degrees(),
+                                );
                             }
                         }
                         (None, None) => {}
                         _ => {
                             silhouette += 1;
-                            assert!(inside.abs() < 0.5 * object.step_mm, "{steps:?} at {x}, {y}: {got:?}, {want:?}, {inside} mm inside");
+                            assert!(
+                                inside.abs() < 0.5 * object.step_mm,
+                                "{steps:?} at {x}, {y}: {got:?}, {want:?}, {inside} mm inside"
+                            );
                         }
                     }
                 }
@@ -122,7 +161,10 @@ pub fn deformed_sphere_is_the_ellipsoid() {
                 if sampled { "field" } else { "formula" },
                 object.step_mm
             );
-            assert!(hits > 3000 && worst_t < 0.5 * object.step_mm && worst_angle < 1.0, "{steps:?}");
+            assert!(
+                hits > 3000 && worst_t < 0.5 * object.step_mm && worst_angle < 1.0,
+                "{steps:?}"
+            );
         }
     }
 }
@@ -146,25 +188,51 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         let map = DisplacementMap::from_fn([161, 161, 33], Storage::F32, |x| {
             let r2 = (x.x - 0.5).powi(2) + (x.y - 0.5).powi(2);
             let ends = (4.0 * x.z * (1.0 - x.z)).clamp(0.0, 1.0);
-            TexelSample { displacement: Vec3::new(0.0, 0.0, -0.55 * ends * (-r2 / 0.018f32.powi(2)).exp()), alpha: 1.0 }
+            TexelSample {
+                displacement: Vec3::new(0.0, 0.0, -0.55 * ends * (-r2 / 0.018f32.powi(2)).exp()),
+                alpha: 1.0,
+            }
         });
-        PlacedMap::new(std::sync::Arc::new(map), Placement::new(Vec3::new(0.0, 0.0, 75.0), Vec3::new(100.0, 100.0, 90.0), Vec3::ZERO).unwrap())
+        PlacedMap::new(
+            std::sync::Arc::new(map),
+            Placement::new(
+                Vec3::new(0.0, 0.0, 75.0),
+                Vec3::new(100.0, 100.0, 90.0),
+                Vec3::ZERO,
+            )
+            .unwrap(),
+        )
     };
     let hits = |steps, step: f32| -> Vec<bool> {
         let scene = scene_with(steps, step);
         let assets = scenes::assets(&scene);
         let prepared = Prepared::with(&scene, &assets, &PrepareOptions::with_maps(&[pull()])).unwrap();
-        incise::cpu::render(&prepared).picture.pixels.iter().map(|p| p[3] > 0.5).collect()
+        incise::cpu::render(&prepared)
+            .picture
+            .pixels
+            .iter()
+            .map(|p| p[3] > 0.5)
+            .collect()
     };
     let coarse = 6.0;
     let reference = hits(Steps::Uniform, coarse / 16.0);
-    let missed = |steps| hits(steps, coarse).iter().zip(&reference).filter(|(got, want)| !**got && **want).count();
-    let [uniform, threshold, jacobian, sphere] = [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere].map(missed);
+    let missed = |steps| {
+        hits(steps, coarse)
+            .iter()
+            .zip(&reference)
+            .filter(|(got, want)| !**got && **want)
+            .count()
+    };
+    let [uniform, threshold, jacobian, sphere] =
+        [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere].map(missed);
     println!(
         "pixels missed of {}: uniform {uniform}, threshold {threshold}, Jacobian {jacobian}, sphere {sphere}",
         reference.iter().filter(|r| **r).count()
     );
-    assert!(uniform > 20 && threshold > 5, "the scene is no test: {uniform}, {threshold}");
+    assert!(
+        uniform > 20 && threshold > 5,
+        "the scene is no test: {uniform}, {threshold}"
+    );
     assert_eq!((jacobian, sphere), (0, 0));
 }
 
@@ -178,7 +246,9 @@ fn beyond_a_pixel(a: &[bool], b: &[bool], width: usize) -> usize {
         (y.saturating_sub(1)..=(y + 1).min(of.len() / width - 1))
             .any(|j| (x.saturating_sub(1)..=(x + 1).min(width - 1)).any(|i| of[j * width + i] == value))
     };
-    (0..a.len()).filter(|&n| a[n] != b[n] && !near(n % width, n / width, b, a[n])).count()
+    (0..a.len())
+        .filter(|&n| a[n] != b[n] && !near(n % width, n / width, b, a[n]))
+        .count()
 }
 
 /// One deformation texture in slicing, volume ray casting and surface ray casting: the silhouettes
@@ -195,8 +265,17 @@ pub fn three_silhouettes(draw: &dyn Fn(&Prepared) -> Picture) {
     let assets = scenes::assets(&scene);
     let [low, high] = assets.volume.range;
     let middle = 0.5 * (low + high);
-    let point = |value: f64, opacity: f32| ControlPoint { value, color: [1.0; 3], opacity };
-    scene.transfer.points = vec![point(low, 0.0), point(middle - 1e-3 * (high - low), 0.0), point(middle, 1.0), point(high, 1.0)];
+    let point = |value: f64, opacity: f32| ControlPoint {
+        value,
+        color: [1.0; 3],
+        opacity,
+    };
+    scene.transfer.points = vec![
+        point(low, 0.0),
+        point(middle - 1e-3 * (high - low), 0.0),
+        point(middle, 1.0),
+        point(high, 1.0),
+    ];
     scene.transfer.blend = Some(Blend::Composite);
     scene.surface.iso = Some(middle);
     let mut twist = Deformation::new("bend");
@@ -211,9 +290,18 @@ pub fn three_silhouettes(draw: &dyn Fn(&Prepared) -> Picture) {
     };
     let [slice, rays, surface] = [Mode::Slice, Mode::Raycast, Mode::Surface].map(render);
     let set = |s: &[bool]| s.iter().filter(|p| **p).count();
-    println!("pixels: slices {}, rays {}, surface {}", set(&slice), set(&rays), set(&surface));
+    println!(
+        "pixels: slices {}, rays {}, surface {}",
+        set(&slice),
+        set(&rays),
+        set(&surface)
+    );
     assert!(set(&surface) > 3000);
-    for (name, a, b) in [("slices and rays", &slice, &rays), ("rays and surface", &rays, &surface), ("slices and surface", &slice, &surface)] {
+    for (name, a, b) in [
+        ("slices and rays", &slice, &rays),
+        ("rays and surface", &rays, &surface),
+        ("slices and surface", &slice, &surface),
+    ] {
         let off = beyond_a_pixel(a, b, 160) + beyond_a_pixel(b, a, 160);
         assert_eq!(off, 0, "{name}: {off} pixels");
     }
@@ -231,7 +319,10 @@ pub fn two_stages_are_one_picture() {
     let smooth = write_off(folder.path(), "sphere.off", &shapes::sphere(50.0, 160));
     let mut ball = scenes::load("bunny-two-stage");
     ball.mesh[0] = MeshSource::of_file(smooth.to_str().unwrap());
-    for (name, mut scene, smooth) in [("the bunny", scenes::load("bunny-two-stage"), false), ("a ball", ball, true)] {
+    for (name, mut scene, smooth) in [
+        ("the bunny", scenes::load("bunny-two-stage"), false),
+        ("a ball", ball, true),
+    ] {
         scene.render.size = [256, 256];
         scene.render.antialias = 1;
         let two = render(&scene);
@@ -242,19 +333,40 @@ pub fn two_stages_are_one_picture() {
         // The bunny's own facets have the same appearance: triangles are shaded smoothly, the field
         // is not.
         let luma = |p: &Picture, x: usize, y: usize| p.pixels[y * 256 + x][..3].iter().sum::<f32>() / 3.0;
-        let ridge =
-            |p: &Picture, x: usize, y: usize| luma(p, x, y) - 0.25 * (luma(p, x - 2, y) + luma(p, x + 2, y) + luma(p, x, y - 2) + luma(p, x, y + 2));
-        let inner = |p: &Picture, x: usize, y: usize| (y - 3..=y + 3).all(|j| (x - 3..=x + 3).all(|i| p.pixels[j * 256 + i][3] > 0.99));
-        let places = (3..253).flat_map(|y| (3..253).map(move |x| (x, y))).filter(|&(x, y)| inner(&two, x, y) && inner(&one, x, y));
-        let worst = places.map(|(x, y)| f64::from((ridge(&two, x, y) - ridge(&one, x, y)).abs())).fold(0.0, f64::max);
-        println!("{name}: mean {:.3}/255, lines differ by {:.3}/255 at most", d.mean / STEP, worst / STEP);
-        assert!(d.mean <= 2.0 * STEP && d.mean > 0.0 && (!smooth || worst < 2.0 * STEP), "{name}");
+        let ridge = |p: &Picture, x: usize, y: usize| {
+            luma(p, x, y)
+                - 0.25 * (luma(p, x - 2, y) + luma(p, x + 2, y) + luma(p, x, y - 2) + luma(p, x, y + 2))
+        };
+        let inner = |p: &Picture, x: usize, y: usize| {
+            (y - 3..=y + 3).all(|j| (x - 3..=x + 3).all(|i| p.pixels[j * 256 + i][3] > 0.99))
+        };
+        let places = (3..253)
+            .flat_map(|y| (3..253).map(move |x| (x, y)))
+            .filter(|&(x, y)| inner(&two, x, y) && inner(&one, x, y));
+        let worst = places
+            .map(|(x, y)| f64::from((ridge(&two, x, y) - ridge(&one, x, y)).abs()))
+            .fold(0.0, f64::max);
+        println!(
+            "{name}: mean {:.3}/255, lines differ by {:.3}/255 at most",
+            d.mean / STEP,
+            worst / STEP
+        );
+        assert!(
+            d.mean <= 2.0 * STEP && d.mean > 0.0 && (!smooth || worst < 2.0 * STEP),
+            "{name}"
+        );
     }
 }
 
 /// Skipping space emptied by cuts, or any other space, changes no pixel by more than a step.
 pub fn skipping_changes_no_surface() {
-    for name in ["apple-hollow", "apple-thick", "apple-solid", "bunny-knife", "head-skin-peel"] {
+    for name in [
+        "apple-hollow",
+        "apple-thick",
+        "apple-solid",
+        "bunny-knife",
+        "head-skin-peel",
+    ] {
         let mut scene = scenes::load(name);
         scene.render.size = [96, 96];
         scene.render.antialias = 1;
@@ -265,8 +377,16 @@ pub fn skipping_changes_no_surface() {
         let without = render(&scene);
         for (what, other) in [("cuts", &without_cuts), ("everything", &without)] {
             let d = difference(&with, other).unwrap();
-            let off = with.pixels.iter().zip(&other.pixels).filter(|(a, b)| (0..4).any(|c| f64::from((a[c] - b[c]).abs()) > STEP)).count();
-            println!("{name}, skipping {what}: max {:.3}/255, {off} pixels beyond 1/255", d.max / STEP);
+            let off = with
+                .pixels
+                .iter()
+                .zip(&other.pixels)
+                .filter(|(a, b)| (0..4).any(|c| f64::from((a[c] - b[c]).abs()) > STEP))
+                .count();
+            println!(
+                "{name}, skipping {what}: max {:.3}/255, {off} pixels beyond 1/255",
+                d.max / STEP
+            );
             assert!(off == 0, "{name} {what}: {off} pixels, max {}", d.max / STEP);
         }
     }
@@ -294,16 +414,27 @@ pub fn cut_models_are_what_they_say() {
             let object = &prepared.surfaces.objects[0];
             let look = |x: f32| {
                 let o = Vec3::new(x, 0.3, 200.0);
-                trace(&prepared, object, o, Vec3::NEG_Z, &mut 0).map(|(t, side)| (200.0 - t, side, normal(&prepared, object, o - Vec3::Z * t, side)))
+                trace(&prepared, object, o, Vec3::NEG_Z, &mut 0)
+                    .map(|(t, side)| (200.0 - t, side, normal(&prepared, object, o - Vec3::Z * t, side)))
             };
             let (z, side, n) = look(0.4).unwrap();
             let (want_z, want_side) = middle.unwrap();
-            assert!((z - want_z).abs() < 0.3 && side == want_side, "{model:?} exact {exact}: {z} {side:?}");
+            assert!(
+                (z - want_z).abs() < 0.3 && side == want_side,
+                "{model:?} exact {exact}: {z} {side:?}"
+            );
             assert!(n.z > 0.99, "{model:?}: {n}");
             // The rim of a thick shell shows the cut's face.
             let (z, side, _) = look(45.0).unwrap();
-            let rim = if model == CutModel::Hollow { (-(50.0f32.powi(2) - 45.0f32.powi(2)).sqrt(), HitSide::Inside) } else { (0.0, HitSide::Cut) };
-            assert!((z - rim.0).abs() < 0.5 && side == rim.1, "{model:?} exact {exact} rim: {z} {side:?}");
+            let rim = if model == CutModel::Hollow {
+                (-(50.0f32.powi(2) - 45.0f32.powi(2)).sqrt(), HitSide::Inside)
+            } else {
+                (0.0, HitSide::Cut)
+            };
+            assert!(
+                (z - rim.0).abs() < 0.5 && side == rim.1,
+                "{model:?} exact {exact} rim: {z} {side:?}"
+            );
             assert!(look(52.0).is_none());
         }
     }
@@ -333,15 +464,22 @@ pub fn surfaces_and_volumes_share_depth() {
         assert!(within[3] > 0.99 && behind[3] > 0.99);
         // The ball behind the volume is attenuated by the volume's transmittance.
         let green = front[1] - front[0];
-        assert!((behind[1] - (alone[1] + (1.0 - alone[3]) * front[1])).abs() < 0.1 || alone[3] > 0.99, "{alone:?} {behind:?}");
+        assert!(
+            (behind[1] - (alone[1] + (1.0 - alone[3]) * front[1])).abs() < 0.1 || alone[3] > 0.99,
+            "{alone:?} {behind:?}"
+        );
         assert!(green > 0.3 && within[1] - within[0] <= green + 1e-3);
     }
 }
 
 fn write_off(folder: &Path, name: &str, mesh: &Mesh) -> PathBuf {
     let mut text = format!("OFF\n{} {} 0\n", mesh.positions.len(), mesh.triangles.len());
-    mesh.positions.iter().for_each(|p| text.push_str(&format!("{} {} {}\n", p.x, p.y, p.z)));
-    mesh.triangles.iter().for_each(|t| text.push_str(&format!("3 {} {} {}\n", t[0], t[1], t[2])));
+    mesh.positions
+        .iter()
+        .for_each(|p| text.push_str(&format!("{} {} {}\n", p.x, p.y, p.z)));
+    mesh.triangles
+        .iter()
+        .for_each(|t| text.push_str(&format!("3 {} {} {}\n", t[0], t[1], t[2])));
     let path = folder.join(name);
     std::fs::write(&path, text).unwrap();
     path
@@ -358,15 +496,27 @@ pub fn volumes_inside_meshes() {
     let inner = shapes::sphere(25.0, 48);
     let first = nested.positions.len() as u32;
     nested.positions.extend(&inner.positions);
-    nested.triangles.extend(inner.triangles.iter().map(|t| t.map(|v| v + first)));
+    nested
+        .triangles
+        .extend(inner.triangles.iter().map(|t| t.map(|v| v + first)));
     let torus = shapes::torus(30.0, 10.0, 64);
     for (name, mesh, inside) in [
-        ("torus.off", &torus, &(|p: Vec3| 10.0 - ((p.truncate().length() - 30.0).powi(2) + p.z * p.z).sqrt()) as &dyn Fn(Vec3) -> f32),
-        ("nested.off", &nested, &|p: Vec3| (40.0 - p.length()).min(p.length() - 25.0)),
+        (
+            "torus.off",
+            &torus,
+            &(|p: Vec3| 10.0 - ((p.truncate().length() - 30.0).powi(2) + p.z * p.z).sqrt())
+                as &dyn Fn(Vec3) -> f32,
+        ),
+        ("nested.off", &nested, &|p: Vec3| {
+            (40.0 - p.length()).min(p.length() - 25.0)
+        }),
     ] {
         let path = write(name, mesh);
         let mut scene = Scene::of_volume("phantom:ball:size=64");
-        scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh { path: path.to_str().unwrap().into(), ..Default::default() });
+        scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh {
+            path: path.to_str().unwrap().into(),
+            ..Default::default()
+        });
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
         assert!(prepared.proxy_mesh.is_some());
@@ -391,8 +541,11 @@ pub fn volumes_inside_meshes() {
         numbers: [("angle".to_owned(), 90.0f32)].into(),
     };
     let mut scene = Scene::of_volume("phantom:ball:size=64");
-    scene.volume.as_mut().unwrap().inside =
-        Some(incise::scene::InsideMesh { path: path.to_str().unwrap().into(), deformer: vec![twist], ..Default::default() });
+    scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh {
+        path: path.to_str().unwrap().into(),
+        deformer: vec![twist],
+        ..Default::default()
+    });
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let p = Vec3::new(20.0, 0.0, 20.0);
@@ -403,9 +556,18 @@ pub fn volumes_inside_meshes() {
     let mut open = shapes::sphere(40.0, 12);
     open.triangles.pop();
     let path = write("open.off", &open);
-    scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh { path: path.to_str().unwrap().into(), ..Default::default() });
-    let error = Prepared::new(&scene, &assets).err().map(|e| e.to_string()).unwrap_or_default();
-    assert!(error.contains("open.off") && error.contains("not closed"), "{error}");
+    scene.volume.as_mut().unwrap().inside = Some(incise::scene::InsideMesh {
+        path: path.to_str().unwrap().into(),
+        ..Default::default()
+    });
+    let error = Prepared::new(&scene, &assets)
+        .err()
+        .map(|e| e.to_string())
+        .unwrap_or_default();
+    assert!(
+        error.contains("open.off") && error.contains("not closed"),
+        "{error}"
+    );
 }
 
 /// A depth-map cube of a convex solid matches the solid, with a fraction of the memory.
@@ -418,9 +580,19 @@ pub fn depth_map_cube_shows_the_field() {
     scene.mesh[0].representation = Some(incise::scene::surface::Representation::DepthMapCube);
     let assets: Assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
-    let bytes = prepared.surfaces.objects[0].implicit.as_ref().unwrap().gpu_bytes();
+    let bytes = prepared.surfaces.objects[0]
+        .implicit
+        .as_ref()
+        .unwrap()
+        .gpu_bytes();
     assert_eq!(bytes, 6 * 128 * 128 * 4);
-    assert!(assets.library.notices().iter().any(|n| n.contains(&bytes.to_string()) && n.contains(&(2 * 128usize.pow(3)).to_string())));
+    assert!(
+        assets
+            .library
+            .notices()
+            .iter()
+            .any(|n| n.contains(&bytes.to_string()) && n.contains(&(2 * 128usize.pow(3)).to_string()))
+    );
     let by_cube = incise::cpu::render(&prepared).picture;
     let (a, b) = (silhouette(&by_field), silhouette(&by_cube));
     let off = a.iter().zip(&b).filter(|(a, b)| a != b).count();

@@ -22,7 +22,13 @@ const HANGS: Duration = Duration::from_secs(60);
 
 fn command(folder: &Path, arguments: &[OsString]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_incise"));
-    command.current_dir(folder).args(arguments).env_remove("DISPLAY").stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .current_dir(folder)
+        .args(arguments)
+        .env_remove("DISPLAY")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     command
 }
 
@@ -52,7 +58,11 @@ fn incise(folder: &Path, arguments: &[OsString]) -> Output {
         }
         std::thread::sleep(Duration::from_millis(2));
     };
-    Output { status, stdout: reading.join().unwrap(), stderr: complaining.join().unwrap() }
+    Output {
+        status,
+        stdout: reading.join().unwrap(),
+        stderr: complaining.join().unwrap(),
+    }
 }
 
 fn words(text: &str) -> Vec<OsString> {
@@ -71,26 +81,69 @@ struct Writer {
 }
 
 const WRITERS: &[Writer] = &[
-    Writer { words: "render small.nii -o OUT --backend cpu --size 16x16 -q", ending: "png", reads: &["small.nii"] },
+    Writer {
+        words: "render small.nii -o OUT --backend cpu --size 16x16 -q",
+        ending: "png",
+        reads: &["small.nii"],
+    },
     Writer {
         words: "render detached.nhdr -o picture.png --stats OUT --backend cpu --size 16x16 -q",
         ending: "raw",
         reads: &["detached.nhdr", "values.raw"],
     },
-    Writer { words: "compare small.nii -o report --stats OUT --backend cpu --size 16x16 -q --no-reference", ending: "json", reads: &["small.nii"] },
-    Writer { words: "bake pair.hdr -o OUT --deform twist", ending: "nii", reads: &["pair.hdr", "pair.img"] },
-    Writer { words: "bake detached.mhd -o OUT --deform twist", ending: "mha", reads: &["detached.mhd", "values.raw"] },
-    Writer { words: "bake listed.nhdr -o OUT --deform twist", ending: "nrrd", reads: &["listed.nhdr", "slice-1.raw", "slice-2.raw"] },
-    Writer { words: "bake sized.raw -o OUT", ending: "vti", reads: &["sized.raw", "sized.raw.toml"] },
-    Writer { words: "bake array.zarr -o OUT", ending: "nii.gz", reads: &["array.zarr/.zarray", "array.zarr/0.0.0"] },
-    Writer { words: "map twist -o OUT --volume small.nii", ending: "nrrd", reads: &["small.nii"] },
-    Writer { words: "map check affine.tfm --csv OUT --no-inverse", ending: "csv", reads: &["affine.tfm"] },
-    Writer { words: "map check affine.tfm --picture OUT --no-inverse", ending: "png", reads: &["affine.tfm"] },
-    Writer { words: "sdf box.obj -o OUT --resolution 8", ending: "nrrd", reads: &["box.obj"] },
+    Writer {
+        words: "compare small.nii -o report --stats OUT --backend cpu --size 16x16 -q --no-reference",
+        ending: "json",
+        reads: &["small.nii"],
+    },
+    Writer {
+        words: "bake pair.hdr -o OUT --deform twist",
+        ending: "nii",
+        reads: &["pair.hdr", "pair.img"],
+    },
+    Writer {
+        words: "bake detached.mhd -o OUT --deform twist",
+        ending: "mha",
+        reads: &["detached.mhd", "values.raw"],
+    },
+    Writer {
+        words: "bake listed.nhdr -o OUT --deform twist",
+        ending: "nrrd",
+        reads: &["listed.nhdr", "slice-1.raw", "slice-2.raw"],
+    },
+    Writer {
+        words: "bake sized.raw -o OUT",
+        ending: "vti",
+        reads: &["sized.raw", "sized.raw.toml"],
+    },
+    Writer {
+        words: "bake array.zarr -o OUT",
+        ending: "nii.gz",
+        reads: &["array.zarr/.zarray", "array.zarr/0.0.0"],
+    },
+    Writer {
+        words: "map twist -o OUT --volume small.nii",
+        ending: "nrrd",
+        reads: &["small.nii"],
+    },
+    Writer {
+        words: "map check affine.tfm --csv OUT --no-inverse",
+        ending: "csv",
+        reads: &["affine.tfm"],
+    },
+    Writer {
+        words: "map check affine.tfm --picture OUT --no-inverse",
+        ending: "png",
+        reads: &["affine.tfm"],
+    },
+    Writer {
+        words: "sdf box.obj -o OUT --resolution 8",
+        ending: "nrrd",
+        reads: &["box.obj"],
+    },
 ];
 
-const BOX: &str =
-    "v 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nv 0 0 9\nv 9 0 9\nv 9 9 9\nv 0 9 9\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+const BOX: &str = "v 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nv 0 0 9\nv 9 0 9\nv 9 9 9\nv 0 9 9\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
 /// Creates the files that the writers read.
 fn inputs(folder: &Path) {
@@ -107,8 +160,14 @@ fn inputs(folder: &Path) {
     write("sized.raw", &values);
     write("sized.raw.toml", b"size = [8, 8, 8]\ntype = \"u8\"\n");
     let nrrd = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 8 8 8\nencoding: raw\n";
-    write("detached.nhdr", format!("{nrrd}data file: values.raw\n\n").as_bytes());
-    write("listed.nhdr", format!("{nrrd}data file: LIST\nslice-1.raw\nslice-2.raw\n").as_bytes());
+    write(
+        "detached.nhdr",
+        format!("{nrrd}data file: values.raw\n\n").as_bytes(),
+    );
+    write(
+        "listed.nhdr",
+        format!("{nrrd}data file: LIST\nslice-1.raw\nslice-2.raw\n").as_bytes(),
+    );
     write("detached.mhd", b"ObjectType = Image\nNDims = 3\nDimSize = 8 8 8\nElementType = MET_UCHAR\nElementDataFile = values.raw\n");
     // A pair is a NIfTI whose header and values are in two files.
     let whole = std::fs::read(folder.join("small.nii")).unwrap();
@@ -128,7 +187,14 @@ fn inputs(folder: &Path) {
 }
 
 fn node(path: &Path, kind: FileType, device: (u32, u32)) -> bool {
-    mknodat(CWD, path, kind, Mode::from_raw_mode(0o666), makedev(device.0, device.1)).is_ok()
+    mknodat(
+        CWD,
+        path,
+        kind,
+        Mode::from_raw_mode(0o666),
+        makedev(device.0, device.1),
+    )
+    .is_ok()
 }
 
 /// A command that reads `IN`, a file with any of these extensions.
@@ -140,21 +206,71 @@ struct Reader {
 const READERS: &[Reader] = &[
     Reader {
         words: "info IN",
-        endings: &["nii", "nii.gz", "hdr", "img", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "png", "jpg", "npy", "dcm", "zip", "unknown"],
+        endings: &[
+            "nii", "nii.gz", "hdr", "img", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "png", "jpg",
+            "npy", "dcm", "zip", "unknown",
+        ],
     },
-    Reader { words: "info IN --raw 5000x5000x5000:u8", endings: &["raw", "raw.gz"] },
-    Reader { words: "info IN", endings: &["stl", "obj", "obj.gz", "ply", "off", "gltf", "glb", "gii", "gii.gz"] },
-    Reader { words: "render IN -o out.png", endings: &["toml"] },
-    Reader { words: "info IN", endings: &["toml"] },
-    Reader { words: "map IN -o out.nii.gz", endings: &["tfm", "mat", "lta", "1D", "txt", "nii.gz"] },
-    Reader { words: "map check IN", endings: &["tfm", "nrrd"] },
-    Reader { words: "sdf IN -o out.nrrd", endings: &["stl"] },
-    Reader { words: "render small.nii -q -o out.png --inside IN", endings: &["obj"] },
-    Reader { words: "render small.nii -q -o out.png --deform points:pairs=IN", endings: &["csv", "mrk.json", "fcsv"] },
-    Reader { words: "render small.nii -q -o out.png --deform field:path=IN", endings: &["nii", "tfm"] },
-    Reader { words: "render small.nii -q -o out.png --deform map:path=IN", endings: &["nrrd"] },
-    Reader { words: "render small.nii -q -o out.png --deform twist:spare=1,labels=IN", endings: &["nii.gz"] },
-    Reader { words: "render small.nii -q -o out.png --deform lift:mask=IN", endings: &["nii"] },
-    Reader { words: "render labelled.toml -q -o out.png", endings: &["IN"] },
-    Reader { words: "render sidecar.raw -q -o out.png", endings: &["IN"] },
+    Reader {
+        words: "info IN --raw 5000x5000x5000:u8",
+        endings: &["raw", "raw.gz"],
+    },
+    Reader {
+        words: "info IN",
+        endings: &[
+            "stl", "obj", "obj.gz", "ply", "off", "gltf", "glb", "gii", "gii.gz",
+        ],
+    },
+    Reader {
+        words: "render IN -o out.png",
+        endings: &["toml"],
+    },
+    Reader {
+        words: "info IN",
+        endings: &["toml"],
+    },
+    Reader {
+        words: "map IN -o out.nii.gz",
+        endings: &["tfm", "mat", "lta", "1D", "txt", "nii.gz"],
+    },
+    Reader {
+        words: "map check IN",
+        endings: &["tfm", "nrrd"],
+    },
+    Reader {
+        words: "sdf IN -o out.nrrd",
+        endings: &["stl"],
+    },
+    Reader {
+        words: "render small.nii -q -o out.png --inside IN",
+        endings: &["obj"],
+    },
+    Reader {
+        words: "render small.nii -q -o out.png --deform points:pairs=IN",
+        endings: &["csv", "mrk.json", "fcsv"],
+    },
+    Reader {
+        words: "render small.nii -q -o out.png --deform field:path=IN",
+        endings: &["nii", "tfm"],
+    },
+    Reader {
+        words: "render small.nii -q -o out.png --deform map:path=IN",
+        endings: &["nrrd"],
+    },
+    Reader {
+        words: "render small.nii -q -o out.png --deform twist:spare=1,labels=IN",
+        endings: &["nii.gz"],
+    },
+    Reader {
+        words: "render small.nii -q -o out.png --deform lift:mask=IN",
+        endings: &["nii"],
+    },
+    Reader {
+        words: "render labelled.toml -q -o out.png",
+        endings: &["IN"],
+    },
+    Reader {
+        words: "render sidecar.raw -q -o out.png",
+        endings: &["IN"],
+    },
 ];

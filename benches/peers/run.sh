@@ -1,6 +1,8 @@
 #!/bin/sh
-# Measures incise and its peers alternately on the same work: sets up Python and the worker, then runs run.py with the arguments given.
-#   --python PATH (first) takes that interpreter instead of making an environment under target/peers/venv.
+# Measures incise and its peers alternately on the same work: sets up Python and the worker, then
+# runs run.py with the arguments given.
+#   --python PATH (first) takes that interpreter instead of making an environment under
+#   target/peers/venv.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)

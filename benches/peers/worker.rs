@@ -39,10 +39,19 @@ enum Request {
     Forget { name: String },
     /// Renders a changed scene to a picture in memory, 8 bits per channel. `volume` names a loaded
     /// volume, which replaces the scene's. The picture's bytes (RGBA) are written to `picture`.
-    Render { volume: String, backend: Backend, scene: String, picture: Option<PathBuf> },
+    Render {
+        volume: String,
+        backend: Backend,
+        scene: String,
+        picture: Option<PathBuf>,
+    },
     /// Bakes the deformed volume on the grid of its source, as a file's bytes in memory, which are
     /// written to `output`.
-    Bake { volume: String, scene: String, output: Option<PathBuf> },
+    Bake {
+        volume: String,
+        scene: String,
+        output: Option<PathBuf>,
+    },
     /// The gradients of a volume at all voxels, as stored values.
     Gradient { volume: String },
     /// Inverts a field on its own grid. The inverse is written to `output`: three f32 per point.
@@ -66,7 +75,9 @@ impl Gpu {
     fn renderer(&mut self) -> Result<&mut incise::render::Renderer> {
         use incise::gpu::{AdapterPreference, Device};
         if self.0.is_none() {
-            self.0 = Some(incise::render::Renderer::new(Device::open(AdapterPreference::Any)?));
+            self.0 = Some(incise::render::Renderer::new(Device::open(
+                AdapterPreference::Any,
+            )?));
         }
         self.0.as_mut().context("there is no renderer")
     }
@@ -117,7 +128,9 @@ impl Worker {
         match request {
             Request::About => {
                 let program = env!("CARGO_BIN_EXE_incise");
-                Ok(json!({ "program": program, "threads": rayon::current_num_threads(), "gpu": self.gpu.about() }))
+                Ok(
+                    json!({ "program": program, "threads": rayon::current_num_threads(), "gpu": self.gpu.about() }),
+                )
             }
             Request::Load { name, path } => {
                 let start = Instant::now();
@@ -133,19 +146,35 @@ impl Worker {
                 Ok(answer)
             }
             Request::Forget { name } => Ok(json!({ "forgotten": self.volumes.remove(&name).is_some() })),
-            Request::Render { volume, backend, scene, picture } => self.render(&volume, &backend, &scene, picture.as_deref()),
-            Request::Bake { volume, scene, output } => self.bake(&volume, &scene, output.as_deref()),
+            Request::Render {
+                volume,
+                backend,
+                scene,
+                picture,
+            } => self.render(&volume, &backend, &scene, picture.as_deref()),
+            Request::Bake {
+                volume,
+                scene,
+                output,
+            } => self.bake(&volume, &scene, output.as_deref()),
             Request::Gradient { volume } => {
                 let assets = find(&self.volumes, &volume)?;
                 let start = Instant::now();
-                let gradients = GradientVolume::new(assets.grid()).context("no gradient volume is made of these voxels")?;
+                let gradients = GradientVolume::new(assets.grid())
+                    .context("no gradient volume is made of these voxels")?;
                 Ok(json!({ "ms": ms(start), "vectors": gradients.texels.len() }))
             }
             Request::Invert { field, output } => self.invert(&field, output.as_deref()),
         }
     }
 
-    fn render(&mut self, volume: &str, backend: &Backend, scene: &str, picture: Option<&Path>) -> Result<Value> {
+    fn render(
+        &mut self,
+        volume: &str,
+        backend: &Backend,
+        scene: &str,
+        picture: Option<&Path>,
+    ) -> Result<Value> {
         let scene = parse(scene)?;
         let assets = find(&self.volumes, volume)?;
         let start = Instant::now();
@@ -175,9 +204,16 @@ impl Worker {
         let start = Instant::now();
         let mut bytes = Vec::with_capacity(volume.size.iter().product::<usize>() * 4);
         let Deformed { stack, cuts, .. } = Deformed::exact(&scene, assets, true, &Watch::NONE)?;
-        let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
+        let deformation = StackAndCuts {
+            stack: &stack,
+            cuts: &cuts,
+        };
         let (grid, fill) = (volume.geometry(), volume.range[0]);
-        let options = bake::BakeOptions { interpolation: Some(bake::Interpolation::Linear), fill: Some(fill), progress: None };
+        let options = bake::BakeOptions {
+            interpolation: Some(bake::Interpolation::Linear),
+            fill: Some(fill),
+            progress: None,
+        };
         bake::volume(volume, &deformation, &grid, Format::Nifti, &mut bytes, &options)?;
         let ms = ms(start);
         write(output, &bytes)?;
@@ -189,7 +225,13 @@ impl Worker {
         let start = Instant::now();
         let inverse = invert::field(field);
         let ms = ms(start);
-        let bytes: Vec<u8> = inverse.field.vectors.iter().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes).collect();
+        let bytes: Vec<u8> = inverse
+            .field
+            .vectors
+            .iter()
+            .flat_map(|v| v.to_array())
+            .flat_map(f32::to_le_bytes)
+            .collect();
         write(output, &bytes)?;
         Ok(json!({ "ms": ms, "report": inverse.report }))
     }
@@ -204,11 +246,19 @@ fn parse(scene: &str) -> Result<Scene> {
 }
 
 fn find<'a, T>(all: &'a HashMap<String, T>, name: &str) -> Result<&'a T> {
-    all.get(name).with_context(|| format!("\"{name}\" was not loaded"))
+    all.get(name)
+        .with_context(|| format!("\"{name}\" was not loaded"))
 }
 
 fn load_field(path: &Path) -> Result<VectorField> {
-    let transform = Transform::load(path, &TransformContext { moving: None, reference: None, convention: None })?;
+    let transform = Transform::load(
+        path,
+        &TransformContext {
+            moving: None,
+            reference: None,
+            convention: None,
+        },
+    )?;
     match <[TransformStep; 1]>::try_from(transform.steps) {
         Ok([TransformStep::Field(field)]) => Ok(field),
         _ => bail!("{} is not one displacement field", path.display()),
@@ -216,18 +266,25 @@ fn load_field(path: &Path) -> Result<VectorField> {
 }
 
 fn write(path: Option<&Path>, bytes: &[u8]) -> Result<()> {
-    path.map_or(Ok(()), |p| fs::write(p, bytes).with_context(|| format!("{} cannot be written", p.display())))
+    path.map_or(Ok(()), |p| {
+        fs::write(p, bytes).with_context(|| format!("{} cannot be written", p.display()))
+    })
 }
 
 fn stages(all: &[&StageTimes]) -> Map<String, Value> {
-    all.iter().flat_map(|s| &s.0).map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect()
+    all.iter()
+        .flat_map(|s| &s.0)
+        .map(|(name, ms)| ((*name).to_owned(), json!(ms)))
+        .collect()
 }
 
 fn main() -> Result<()> {
     let mut worker = Worker::default();
     for line in std::io::stdin().lock().lines() {
         let request = serde_json::from_str(&line?).map_err(anyhow::Error::from);
-        let answer = request.and_then(|r| worker.answer(r)).unwrap_or_else(|e| json!({ "error": format!("{e:#}") }));
+        let answer = request
+            .and_then(|r| worker.answer(r))
+            .unwrap_or_else(|e| json!({ "error": format!("{e:#}") }));
         let mut out = std::io::stdout().lock();
         writeln!(out, "{answer}")?;
         out.flush()?;

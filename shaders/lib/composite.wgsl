@@ -71,7 +71,8 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
     let half = half_vector(ray.direction);
-    let needs_gradients = BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && (is_lit() || uses_gradient_opacity());
+    let needs_gradients = BLEND == BLEND_COMPOSITE && ISO == ISO_NONE
+        && (is_lit() || uses_gradient_opacity());
     var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
@@ -138,7 +139,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                     last_at = i;
                 }
             } else {
-                let front = front_value(at, sampled - ray.direction * step, before, CUTS == 0u && before_at == i - 2);
+                let front = front_value(
+                    at, sampled - ray.direction * step, before, CUTS == 0u && before_at == i - 2
+                );
                 if at.present {
                     before = at.value;
                     before_at = i - 1;
@@ -157,7 +160,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             if ISO != ISO_NONE {
                 continue;
             }
-            color += shaded_sample(at, found, front, cut_free, ray.direction, half, step, length * share) * (1.0 - color.a);
+            color += shaded_sample(
+                at, found, front, cut_free, ray.direction, half, step, length * share
+            ) * (1.0 - color.a);
             if 1.0 - color.a < MIN_TRANSMITTANCE && frame.early_termination != 0u {
                 counted.z += u32(max(end - i, 0));
                 break;

@@ -28,7 +28,14 @@ fn deformer_local(k: u32, p: vec3<f32>) -> DeformedVertex {
             let s = sin(n.x * h);
             let c = cos(n.x * h);
             let q = vec3<f32>(c * p.x - s * p.y, s * p.x + c * p.y, p.z);
-            return DeformedVertex(q, mat3x3<f32>(vec3<f32>(c, s, 0.0), vec3<f32>(-s, c, 0.0), vec3<f32>(-q.y * n.x * dh, q.x * n.x * dh, 1.0)));
+            return DeformedVertex(
+                q,
+                mat3x3<f32>(
+                    vec3<f32>(c, s, 0.0),
+                    vec3<f32>(-s, c, 0.0),
+                    vec3<f32>(-q.y * n.x * dh, q.x * n.x * dh, 1.0),
+                ),
+            );
         }
         case DEFORMER_BEND: {
             if abs(n.x) < 1e-9 {
@@ -46,23 +53,31 @@ fn deformer_local(k: u32, p: vec3<f32>) -> DeformedVertex {
             let slope = (n.x - 1.0) / (2.0 * top);
             let scale = 1.0 + slope * (h + top);
             let last = vec3<f32>(slope * dh * p.xy, 1.0);
-            return DeformedVertex(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
+            return DeformedVertex(
+                vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last)
+            );
         }
         case DEFORMER_SHEAR: {
-            return DeformedVertex(vec3<f32>(p.x + n.x * h, p.yz), mat3x3<f32>(x_axis, y_axis, vec3<f32>(n.x * dh, 0.0, 1.0)));
+            return DeformedVertex(
+                vec3<f32>(p.x + n.x * h, p.yz), mat3x3<f32>(x_axis, y_axis, vec3<f32>(n.x * dh, 0.0, 1.0))
+            );
         }
         case DEFORMER_BULGE: {
             let g = n.x * exp(-(p.z / n.y) * (p.z / n.y));
             let scale = 1.0 + g;
             let last = vec3<f32>(-2.0 * p.z / (n.y * n.y) * g * p.xy, 1.0);
-            return DeformedVertex(vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last));
+            return DeformedVertex(
+                vec3<f32>(scale * p.xy, p.z), mat3x3<f32>(x_axis * scale, y_axis * scale, last)
+            );
         }
         case DEFORMER_WAVE: {
             let r = length(p.xy);
             let angle = n.y * r + n.z;
             let slope = select(0.0, n.x * n.y * cos(angle) / max(r, 1e-12), r > 1e-12);
             let q = vec3<f32>(p.xy, p.z + n.x * sin(angle));
-            return DeformedVertex(q, mat3x3<f32>(vec3<f32>(1.0, 0.0, slope * p.x), vec3<f32>(0.0, 1.0, slope * p.y), z_axis));
+            return DeformedVertex(
+                q, mat3x3<f32>(vec3<f32>(1.0, 0.0, slope * p.x), vec3<f32>(0.0, 1.0, slope * p.y), z_axis)
+            );
         }
         default: {
             let half = deformers[k].half;
@@ -88,7 +103,9 @@ fn deformer_local(k: u32, p: vec3<f32>) -> DeformedVertex {
                 jy += o * (bx[a] * dy[b] * bz[c]);
                 jz += o * (bx[a] * by[b] * dz[c]);
             }
-            return DeformedVertex(p + moved, mat3x3<f32>(x_axis + jx * scale.x, y_axis + jy * scale.y, z_axis + jz * scale.z));
+            return DeformedVertex(
+                p + moved, mat3x3<f32>(x_axis + jx * scale.x, y_axis + jy * scale.y, z_axis + jz * scale.z)
+            );
         }
     }
 }
@@ -115,7 +132,11 @@ fn deform_vertex(world: vec3<f32>, normal: vec3<f32>) -> array<vec3<f32>, 2> {
     let binormal = cross(normal, tangent);
     var turned = vec3<f32>(0.0);
     switch object.normal_method {
-        case NORMAL_METHOD_INVERSE_TRANSPOSE: { turned = mat3x3<f32>(cross(d.j[1], d.j[2]), cross(d.j[2], d.j[0]), cross(d.j[0], d.j[1])) * normal; }
+        case NORMAL_METHOD_INVERSE_TRANSPOSE: {
+            turned = mat3x3<f32>(
+                cross(d.j[1], d.j[2]), cross(d.j[2], d.j[0]), cross(d.j[0], d.j[1])
+            ) * normal;
+        }
         case NORMAL_METHOD_TANGENT: { turned = cross(d.j * tangent, d.j * binormal); }
         default: {
             let h = object.vertex_offset_mm;

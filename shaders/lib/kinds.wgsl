@@ -57,7 +57,11 @@ fn spline_pull(q: vec3<f32>) -> vec4<f32> {
     let across = n(0u) * spline(q.x / n(1u)) * spline(q.y / n(2u));
     let third = 2.0 * n(3u) / 3.0;
     let from_peak = q.z + n(3u) - third;
-    return vec4<f32>(q.xy, q.z - across * spline(from_peak / select(2.0 * third, third, from_peak < 0.0)), NO_CUT_DISTANCE_MM);
+    return vec4<f32>(
+        q.xy,
+        q.z - across * spline(from_peak / select(2.0 * third, third, from_peak < 0.0)),
+        NO_CUT_DISTANCE_MM,
+    );
 }
 
 fn wave(q: vec3<f32>) -> vec4<f32> {
@@ -74,7 +78,9 @@ fn wave(q: vec3<f32>) -> vec4<f32> {
 
 fn twist(q: vec3<f32>) -> vec4<f32> {
     let height = clamp(q.z / n(2u) + 0.5, 0.0, 1.0);
-    return vec4<f32>(turned(-n(0u) * height * window(length(q.xy), n(3u), n(1u)), q.xy), q.z, NO_CUT_DISTANCE_MM);
+    return vec4<f32>(
+        turned(-n(0u) * height * window(length(q.xy), n(3u), n(1u)), q.xy), q.z, NO_CUT_DISTANCE_MM
+    );
 }
 
 fn bend(q: vec3<f32>) -> vec4<f32> {
@@ -133,7 +139,9 @@ fn peel(q: vec3<f32>) -> vec4<f32> {
         theta -= TURN;
     }
     let height = radius - rho;
-    let from_roll = min(min(height, depth - height), min(edge_distance(rho, theta), edge_distance(rho, last - theta)));
+    let from_roll = min(
+        min(height, depth - height), min(edge_distance(rho, theta), edge_distance(rho, last - theta))
+    );
     let along = clamp(theta * radius, 0.0, flap);
     let rolled_height = clamp(height, 0.0, depth);
 
@@ -205,7 +213,9 @@ fn seam(q: vec3<f32>) -> vec4<f32> {
     let beta = angle_of(abs(v.x), v.y);
     let open = n(1u) * (1.0 - ease(0.75 * n(4u), n(4u), r)) * window(q.y, n(2u), 0.8);
     let source = with_sign(select(last * max(beta - open, 0.0) / (last - open), beta, beta >= last), v.x);
-    return vec4<f32>(r * sin(source), q.y, r * cos(source) + n(3u), gap_distance(r * (beta - open), r * open, n(5u), n(6u)));
+    return vec4<f32>(
+        r * sin(source), q.y, r * cos(source) + n(3u), gap_distance(r * (beta - open), r * open, n(5u), n(6u))
+    );
 }
 
 fn book(q: vec3<f32>) -> vec4<f32> {
@@ -217,7 +227,9 @@ fn book(q: vec3<f32>) -> vec4<f32> {
     let beyond_rigid = HALF_PI + (beta - rigid_end) * HALF_PI / (2.0 * HALF_PI - rigid_end);
     let source = with_sign(select(beyond_rigid, max(beta - angle, 0.0), beta <= rigid_end), v.x);
     let cut = edge_distance(r, beta - angle);
-    return vec4<f32>(r * sin(source), q.y, r * cos(source) + n(1u), gap_distance(cut, r * sin(angle), n(2u), n(3u)));
+    return vec4<f32>(
+        r * sin(source), q.y, r * cos(source) + n(1u), gap_distance(cut, r * sin(angle), n(2u), n(3u))
+    );
 }
 
 fn knife(q: vec3<f32>) -> vec4<f32> {
@@ -245,7 +257,12 @@ fn retractor(q: vec3<f32>) -> vec4<f32> {
     let root = sqrt(b * b + 4.0 * y * y);
     let sinh_mu = select(sqrt(0.5 * (b + root)), sqrt(2.0 * y * y / max(root - b, 1e-30)), b < 0.0);
     let mu = asinh(sinh_mu);
-    let nu = with_sign(select(acos(clamp(x, -1.0, 1.0)), angle_of(abs(y) / max(sinh_mu, 1e-30), x / cosh(mu)), sinh_mu > 1e-6), y);
+    let nu = with_sign(
+        select(
+            acos(clamp(x, -1.0, 1.0)), angle_of(abs(y) / max(sinh_mu, 1e-30), x / cosh(mu)), sinh_mu > 1e-6
+        ),
+        y,
+    );
     let scale = focus * max(sqrt(sinh_mu * sinh_mu + sin(nu) * sin(nu)), 0.05);
     let cut = gap_distance((mu - open) * scale, focus * sinh(open), n(5u), n(6u));
     if mu >= last {

@@ -33,7 +33,9 @@ struct MacrocellBlock {
 const CUT_FREE_FLAG: u32 = 128u;
 
 fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> MacrocellBlock {
-    let cell = clamp(floor((p - frame.cells_origin) / frame.cell_mm), vec3<f32>(0.0), vec3<f32>(frame.cells) - 1.0);
+    let cell = clamp(
+        floor((p - frame.cells_origin) / frame.cell_mm), vec3<f32>(0.0), vec3<f32>(frame.cells) - 1.0
+    );
     let d = cell_block(vec3<i32>(cell));
     let reach = f32(d & (CUT_FREE_FLAG - 1u));
     let low = frame.cells_origin + (cell - (reach - 1.0)) * frame.cell_mm;
@@ -47,7 +49,16 @@ fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -
 // `depth` is its own optical depth if it is visible, and `cut_free` states whether it lies in a
 // cut-free cell. An invisible sample is near a cut; then a thin layer between it and the cut is
 // searched for.
-fn shaded_sample(at: SceneSample, s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, half: vec3<f32>, step: f32, length: f32) -> vec4<f32> {
+fn shaded_sample(
+    at: SceneSample,
+    s: VisibleSample,
+    front: PreviousSample,
+    cut_free: bool,
+    direction: vec3<f32>,
+    half: vec3<f32>,
+    step: f32,
+    length: f32,
+) -> vec4<f32> {
     var depth = s.depth;
     var point: ShadingPoint;
     if depth > 0.0 {

@@ -16,7 +16,9 @@ fn ray_color(position: vec2<f32>) -> vec4<f32> {
         return surface;
     }
     let step = frame.step_mm;
-    let all = composite(position, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step);
+    let all = composite(
+        position, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step
+    );
     var color = all.color;
     if BLEND != BLEND_COMPOSITE {
         color = projection_color(all.projected, all.present_count);

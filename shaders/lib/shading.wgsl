@@ -47,7 +47,11 @@ fn visible_sample(at: SceneSample, deformed: vec3<f32>) -> VisibleSample {
 fn nearer_volume_face(cut: NearestCut, j: Jet, in_voxel: vec3<f32>, axis: vec3<f32>) -> NearestCut {
     let at = dot(in_voxel, axis) + 0.5;
     let beyond = dot(frame.grid_size, axis) - at;
-    return nearer_of(cut, min(at, beyond), transpose(j.d_source_d_deformed) * world_from_voxel_covector(axis * select(-1.0, 1.0, at < beyond)));
+    return nearer_of(
+        cut,
+        min(at, beyond),
+        transpose(j.d_source_d_deformed) * world_from_voxel_covector(axis * select(-1.0, 1.0, at < beyond)),
+    );
 }
 
 // A cut near a sample inside the material, if the ray came out of it; none if the ray has passed
@@ -60,7 +64,9 @@ fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> Near
     if facing <= 0.0 {
         return NO_CUT;
     }
-    var way = min(CUT_LOOKBACK_SHARE * max(cut.distance_mm, 0.0) / facing, MAX_CUT_LOOKBACK * frame.blend_far_mm);
+    var way = min(
+        CUT_LOOKBACK_SHARE * max(cut.distance_mm, 0.0) / facing, MAX_CUT_LOOKBACK * frame.blend_far_mm
+    );
     for (var n = 0; n < CUT_LOOKBACK_STEPS; n += 1) {
         let back = dense_sample(s.deformed - direction * way, s.depth).depth;
         if back >= 0.0 {
@@ -97,7 +103,15 @@ fn dense_sample(deformed: vec3<f32>, depth: f32) -> VisibleSample {
         return VisibleSample(deformed, v.in_voxel, vec3<f32>(0.0), ABSENT, 0.0, NOT_FETCHED, false);
     }
     let t = lookup(v.value);
-    return VisibleSample(deformed, v.in_voxel, t.rgb, select(THINNER, t.a, t.a >= 0.5 * depth), v.value, v.gradient, v.has_gradient);
+    return VisibleSample(
+        deformed,
+        v.in_voxel,
+        t.rgb,
+        select(THINNER, t.a, t.a >= 0.5 * depth),
+        v.value,
+        v.gradient,
+        v.has_gradient,
+    );
 }
 
 struct SurfaceEntry {
@@ -154,12 +168,24 @@ fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded
 
 // How reliably a gradient in the source is that of a surface, 0 .. 1.
 fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
-    return smoothstep(SURFACE_GRADIENT_LOW, SURFACE_GRADIENT_HIGH, length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm);
+    return smoothstep(
+        SURFACE_GRADIENT_LOW,
+        SURFACE_GRADIENT_HIGH,
+        length(gradient_in_source) * abs(frame.table_scale) * frame.reference_mm,
+    );
 }
 
 // A layer thinner than a step between a cut and an invisible sample; depth 0 if there is none.
 fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
-    var found = ShadingPoint(VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false), true, identity_jet(deformed), false, present, 0.0, false);
+    var found = ShadingPoint(
+        VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false),
+        true,
+        identity_jet(deformed),
+        false,
+        present,
+        0.0,
+        false,
+    );
     let before = deformed - direction * step_mm;
     let at_before = sample_scene(before);
     if at_before.present == present || visible_sample(at_before, before).depth > 0.0 {
@@ -339,14 +365,20 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
         return color;
     }
     if ISO == ISO_DERIVATIVE && !through_cut {
-        return clamp(color * (frame.ambient + frame.diffuse * light_cosine_by_derivative(inside)), vec3<f32>(0.0), vec3<f32>(1.0));
+        return clamp(
+            color * (frame.ambient + frame.diffuse * light_cosine_by_derivative(inside)),
+            vec3<f32>(0.0),
+            vec3<f32>(1.0),
+        );
     }
     let j = jet(inside);
     var cut = NO_CUT;
     if through_cut {
         cut = nearer_cut_shape(nearest_cut(j, hit.in_voxel), inside);
     }
-    let n = shaded_normal(j.d_source_d_deformed, world_from_voxel_covector(gradient(hit.in_voxel)), cut, direction);
+    let n = shaded_normal(
+        j.d_source_d_deformed, world_from_voxel_covector(gradient(hit.in_voxel)), cut, direction
+    );
     return light(n, half_vector(direction), color);
 }
 
@@ -380,7 +412,9 @@ fn path_fraction(cut: NearestCut, deformed: vec3<f32>, direction: vec3<f32>, ste
     return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
 }
 
-fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>) -> Normal {
+fn shaded_normal(
+    d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>
+) -> Normal {
     var g = gradient_in_source;
     if NORMALS == NORMALS_TRANSFORMED || NORMALS == NORMALS_BLENDED {
         g = transpose(d_source_d_deformed) * g;
@@ -399,7 +433,9 @@ fn shaded_normal(d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>
 }
 
 // The shading point of a visible sample.
-fn shading_point(s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
+fn shading_point(
+    s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, step_mm: f32
+) -> ShadingPoint {
     var j = identity_jet(s.deformed);
     var share = 1.0;
     let near = !(cut_free && far_from_faces(s.in_voxel));

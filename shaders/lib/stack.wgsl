@@ -118,7 +118,8 @@ fn jet_of_precomposed(deformed: vec3<f32>) -> Jet {
     j.alpha = select(moved.w, MIN_MARKED_ALPHA, any(abs(slope) >= vec3<f32>(MIN_MARKED_SLOPE)));
     let inverse = linear_part(maps[MAPS].map_from_world);
     j.cut = nearer_of(j.cut, moved.w - 0.5, transpose(inverse) * slope);
-    j.d_source_d_deformed = j.d_source_d_deformed + linear_part(maps[MAPS].world_from_stored) * mat3x3<f32>(dx.xyz, dy.xyz, dz.xyz) * inverse;
+    j.d_source_d_deformed = j.d_source_d_deformed
+        + linear_part(maps[MAPS].world_from_stored) * mat3x3<f32>(dx.xyz, dy.xyz, dz.xyz) * inverse;
     j.source += moved.xyz;
     return j;
 }

@@ -66,7 +66,8 @@ fn is_undeformed(p: vec3<f32>) -> bool {
         return false;
     }
     let s = source_and_alpha_unclipped(p);
-    return s.w >= 0.5 && cuts_signed_distance_mm(p) >= 0.0 && distance(s.xyz, p) < 0.25 * object.resolution_mm;
+    return s.w >= 0.5 && cuts_signed_distance_mm(p) >= 0.0
+        && distance(s.xyz, p) < 0.25 * object.resolution_mm;
 }
 
 fn apply_cut_model(f: f32) -> f32 {
@@ -79,7 +80,9 @@ fn surface_sample(ray: Ray, t: f32) -> SurfaceSample {
         return SurfaceSample(t, apply_cut_model(implicit_value(p)), -1.0);
     }
     let s = source_and_alpha_unclipped(p);
-    return SurfaceSample(t, apply_cut_model(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_signed_distance_mm(p)));
+    return SurfaceSample(
+        t, apply_cut_model(implicit_value(s.xyz)), max(0.5 - s.w, -cuts_signed_distance_mm(p))
+    );
 }
 
 // Follows a ray to the first hit; counts the samples in `taken`.
@@ -117,8 +120,13 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
             here = surface_sample(ray, t);
             last = before;
             before = here;
-            changed = last.t >= 0.0 && ((last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0));
-            t += max(step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)), max(MIN_ADVANCE * t, finest));
+            changed = last.t >= 0.0 && (
+                (last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0)
+            );
+            t += max(
+                step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)),
+                max(MIN_ADVANCE * t, finest),
+            );
         }
         if changed {
             let event = first_event(ray, last, here);
@@ -140,7 +148,9 @@ fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
     let room = max(exit - here.t, 0.0) + 0.01 * even + MIN_ADVANCE * here.t;
     switch object.steps {
         case STEPS_UNIFORM: { return even; }
-        case STEPS_THRESHOLD: { return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm); }
+        case STEPS_THRESHOLD: {
+            return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm);
+        }
         case STEPS_JACOBIAN: { return min(even / slope, room); }
         default: {
             if object.kind == IMPLICIT_DEPTH {
@@ -156,7 +166,9 @@ fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
 }
 
 fn object_cell(p: vec3<f32>) -> vec3<f32> {
-    return clamp(floor((p - object.cells_origin) / object.cell_mm), vec3<f32>(0.0), vec3<f32>(object.cells) - 1.0);
+    return clamp(
+        floor((p - object.cells_origin) / object.cell_mm), vec3<f32>(0.0), vec3<f32>(object.cells) - 1.0
+    );
 }
 
 // Parameter at which a ray leaves the block of `reach` cells around the cell with this low corner.
@@ -223,13 +235,18 @@ fn surface_normal(p: vec3<f32>, side: u32) -> vec3<f32> {
         }
         return cut.normal;
     }
-    let outward = normalize_or(-(transpose(j.d_source_d_deformed) * implicit_gradient(j.source, object.resolution_mm)), vec3<f32>(0.0));
+    let outward = normalize_or(
+        -(transpose(j.d_source_d_deformed) * implicit_gradient(j.source, object.resolution_mm)),
+        vec3<f32>(0.0),
+    );
     return select(outward, -outward, side == INSIDE);
 }
 
 fn surface_light(normal_in: vec3<f32>, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let away = max(dot(normal_in, direction), 0.0);
     let normal = normalize_or(normal_in - direction * away, -direction);
-    let shone = shine(dot(normal, frame.to_light), dot(normal, half_vector(direction)), object.highlight, object.shininess);
+    let shone = shine(
+        dot(normal, frame.to_light), dot(normal, half_vector(direction)), object.highlight, object.shininess
+    );
     return clamp(color * shone.x + shone.y, vec3<f32>(0.0), vec3<f32>(1.0));
 }

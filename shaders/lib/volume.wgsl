@@ -31,10 +31,19 @@ fn sample_scene_and_gradient(deformed: vec3<f32>, with_gradient: bool) -> SceneS
     }
     if with_gradient && GRADIENT == GRADIENT_CENTRAL && frame.gradient_scale != 0.0 {
         let both = sample_gradients(in_voxel);
-        return SceneSample(in_voxel, both.w, frame.has_holes == 0u || both.w >= -1e-4, source.w, both.xyz * frame.gradient_scale, is_in_grid(in_voxel));
+        return SceneSample(
+            in_voxel,
+            both.w,
+            frame.has_holes == 0u || both.w >= -1e-4,
+            source.w,
+            both.xyz * frame.gradient_scale,
+            is_in_grid(in_voxel),
+        );
     }
     let value = sample_volume(in_voxel);
-    return SceneSample(in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w, NOT_FETCHED, false);
+    return SceneSample(
+        in_voxel, value, frame.has_holes == 0u || value >= -1e-4, source.w, NOT_FETCHED, false
+    );
 }
 
 fn central(p: vec3<f32>) -> vec3<f32> {

@@ -70,17 +70,25 @@ impl VolumeArguments {
 
 /// Three positive numbers, or one for all.
 fn spacing(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Vec<f64> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f64| v.is_finite() && *v > 0.0).collect();
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map_while(|p| p.trim().parse().ok())
+        .filter(|v: &f64| v.is_finite() && *v > 0.0)
+        .collect();
     match numbers[..] {
         [s] if !text.contains(',') => Ok([s; 3]),
         [x, y, z] if text.split(',').count() == 3 => Ok([x, y, z]),
-        _ => Err(format!("\"{text}\" is not a spacing; write X,Y,Z in mm, e.g. 0.5,0.5,2")),
+        _ => Err(format!(
+            "\"{text}\" is not a spacing; write X,Y,Z in mm, e.g. 0.5,0.5,2"
+        )),
     }
 }
 
 /// `512x512`.
 pub fn picture_size(text: &str) -> Result<[u32; 2], String> {
-    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    let parsed = text
+        .split_once('x')
+        .and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
     parsed.ok_or_else(|| format!("\"{text}\" is not a size; write WIDTHxHEIGHT, e.g. 512x512"))
 }
 
@@ -89,18 +97,38 @@ pub fn background(text: &str) -> Result<[f32; 4], String> {
     if text == "transparent" {
         return Ok([0.0; 4]);
     }
-    if let Some(hex) = text.strip_prefix('#').filter(|h| (h.len() == 6 || h.len() == 8) && h.is_ascii()) {
-        let byte = |n: usize| u8::from_str_radix(hex.get(2 * n..2 * n + 2).unwrap_or("ff"), 16).map(|b| f32::from(b) / 255.0);
+    if let Some(hex) = text
+        .strip_prefix('#')
+        .filter(|h| (h.len() == 6 || h.len() == 8) && h.is_ascii())
+    {
+        let byte = |n: usize| {
+            u8::from_str_radix(hex.get(2 * n..2 * n + 2).unwrap_or("ff"), 16).map(|b| f32::from(b) / 255.0)
+        };
         if let (Ok(r), Ok(g), Ok(b), Ok(a)) = (byte(0), byte(1), byte(2), byte(3)) {
             return Ok([r, g, b, a]);
         }
     }
-    let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f32| *v >= 0.0 && *v <= 255.0).collect();
+    let parts: Vec<f32> = text
+        .split(',')
+        .map_while(|p| p.trim().parse().ok())
+        .filter(|v: &f32| *v >= 0.0 && *v <= 255.0)
+        .collect();
     if parts.len() == text.split(',').count() && (3..=4).contains(&parts.len()) {
-        let scale = if parts.iter().any(|&v| v > 1.0) { 255.0 } else { 1.0 };
-        return Ok([parts[0] / scale, parts[1] / scale, parts[2] / scale, parts.get(3).map_or(1.0, |a| a / scale)]);
+        let scale = if parts.iter().any(|&v| v > 1.0) {
+            255.0
+        } else {
+            1.0
+        };
+        return Ok([
+            parts[0] / scale,
+            parts[1] / scale,
+            parts[2] / scale,
+            parts.get(3).map_or(1.0, |a| a / scale),
+        ]);
     }
-    Err(format!("\"{text}\" is not a colour; write R,G,B or R,G,B,A (each 0..1, or each 0..255), #rrggbb, or transparent"))
+    Err(format!(
+        "\"{text}\" is not a colour; write R,G,B or R,G,B,A (each 0..1, or each 0..255), #rrggbb, or transparent"
+    ))
 }
 
 /// `KIND[:name=value,...]`, a value being one number or word, or several separated by commas.
@@ -125,12 +153,34 @@ pub fn deformation(text: &str) -> Result<Deformation> {
         }
     }
     for (name, values) in entries {
-        let numbers: Vec<f32> = values.iter().map_while(|v| v.parse().ok()).filter(|v: &f32| v.is_finite()).collect();
+        let numbers: Vec<f32> = values
+            .iter()
+            .map_while(|v| v.parse().ok())
+            .filter(|v: &f32| v.is_finite())
+            .collect();
         let all_numbers = numbers.len() == values.len();
-        let need_numbers = || if all_numbers { Ok(()) } else { Err(option(format!("{name}={} is not a number", values.join(",")))) };
-        let three =
-            || need_numbers().and_then(|()| <[f32; 3]>::try_from(&numbers[..]).map_err(|_| option(format!("{name} needs three numbers, x,y,z"))));
-        let one = || need_numbers().and_then(|()| if numbers.len() == 1 { Ok(numbers[0]) } else { Err(option(format!("{name} needs one number"))) });
+        let need_numbers = || {
+            if all_numbers {
+                Ok(())
+            } else {
+                Err(option(format!("{name}={} is not a number", values.join(","))))
+            }
+        };
+        let three = || {
+            need_numbers().and_then(|()| {
+                <[f32; 3]>::try_from(&numbers[..])
+                    .map_err(|_| option(format!("{name} needs three numbers, x,y,z")))
+            })
+        };
+        let one = || {
+            need_numbers().and_then(|()| {
+                if numbers.len() == 1 {
+                    Ok(numbers[0])
+                } else {
+                    Err(option(format!("{name} needs one number")))
+                }
+            })
+        };
         match name {
             "storage" => {
                 deformation.storage = Some(match values[..] {
@@ -158,7 +208,8 @@ pub fn deformation(text: &str) -> Result<Deformation> {
                     (words, _) => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
                 };
                 // An invalid number is rejected here, so that the message can quote the input.
-                let numeric = crate::deform::kinds::kind(kind).is_ok_and(|k| k.parameters.iter().any(|p| p.name == name));
+                let numeric = crate::deform::kinds::kind(kind)
+                    .is_ok_and(|k| k.parameters.iter().any(|p| p.name == name));
                 if numeric {
                     one()?;
                 }
@@ -175,15 +226,27 @@ mod tests {
 
     #[test]
     fn deformations_as_in_the_manual() {
-        let d = deformation("peel:center=90,110,160,size=80,progress=0.7,depth=9").unwrap_or_else(|e| panic!("{e}"));
+        let d = deformation("peel:center=90,110,160,size=80,progress=0.7,depth=9")
+            .unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(d.center, Some([90.0, 110.0, 160.0]));
         assert_eq!((d.size, d.progress), (Some(Size::Cube(80.0)), Some(0.7)));
         assert_eq!(d.parameters.number("depth").ok().flatten(), Some(9.0));
         assert!(deformation("pull").is_ok());
-        let chain = deformation("field:path=warp.nii.gz,affine.mat,invert=true").unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!(chain.parameters.texts("path").ok().flatten(), Some(vec!["warp.nii.gz".to_owned(), "affine.mat".to_owned()]));
+        let chain =
+            deformation("field:path=warp.nii.gz,affine.mat,invert=true").unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(
+            chain.parameters.texts("path").ok().flatten(),
+            Some(vec!["warp.nii.gz".to_owned(), "affine.mat".to_owned()])
+        );
         assert_eq!(chain.parameters.flag("invert").ok(), Some(true));
-        for bad in ["peal", "peel:3", "peel:center=1,2", "peel:depth=a", "peel:size=1,2", "peel:storage=u8"] {
+        for bad in [
+            "peal",
+            "peel:3",
+            "peel:center=1,2",
+            "peel:depth=a",
+            "peel:size=1,2",
+            "peel:storage=u8",
+        ] {
             assert!(deformation(bad).is_err(), "{bad}");
         }
     }

@@ -58,26 +58,48 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
     let mut scene = Scene::of_input(&arguments.input)?;
     arguments.volume.apply(&mut scene)?;
     for text in &arguments.deform {
-        scene.deformation.push(arguments::deformation(&text_of(Path::new(text)))?);
+        scene
+            .deformation
+            .push(arguments::deformation(&text_of(Path::new(text)))?);
     }
     let read = scene.files();
-    protect("--output", &arguments.output, read.iter().map(PathBuf::as_path).chain([arguments.input.as_path()]))?;
+    protect(
+        "--output",
+        &arguments.output,
+        read.iter()
+            .map(PathBuf::as_path)
+            .chain([arguments.input.as_path()]),
+    )?;
     if arguments.fill.is_some_and(|f| !f.is_finite()) {
         return Err(Error::value("--fill", "must be a finite number"));
     }
     let output = OutputFile::create(&arguments.output)?;
     let bar = TerminalProgress::new(arguments.quiet);
     if scene.volume.is_none() {
-        return Err(Error::file(&arguments.input, "has no volume to bake; its meshes are rendered, not baked"));
+        return Err(Error::file(
+            &arguments.input,
+            "has no volume to bake; its meshes are rendered, not baked",
+        ));
     }
-    let assets = Assets::load_with(&scene, &LoadOptions { progress: Some(&|what, share| bar.set(what, share)), ..LoadOptions::default() })?;
+    let assets = Assets::load_with(
+        &scene,
+        &LoadOptions {
+            progress: Some(&|what, share| bar.set(what, share)),
+            ..LoadOptions::default()
+        },
+    )?;
     output.check()?;
     let volume = &assets.volume;
     let preparing = |share| bar.set("preparing", share);
     let deformed = Deformed::exact(&scene, &assets, true, &Watch::reporting(&preparing))?;
     let deformation = deformed.stack_and_cuts();
     if !arguments.quiet {
-        for note in volume.warnings_with_options().iter().map(|w| format!("{}: {w}", scene.volume_name())).chain(assets.library.notices()) {
+        for note in volume
+            .warnings_with_options()
+            .iter()
+            .map(|w| format!("{}: {w}", scene.volume_name()))
+            .chain(assets.library.notices())
+        {
             super::print_to_stderr(note);
         }
     }
@@ -87,7 +109,11 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
             scene.volume_name()
         ));
     }
-    let grid = if arguments.enlarge { bake::enlarged(volume, deformation.stack) } else { volume.geometry() };
+    let grid = if arguments.enlarge {
+        bake::enlarged(volume, deformation.stack)
+    } else {
+        volume.geometry()
+    };
     let interpolation = arguments.interpolation.map(|name| match name {
         InterpolationName::Nearest => bake::Interpolation::Nearest,
         InterpolationName::Linear => bake::Interpolation::Linear,
@@ -100,7 +126,11 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
             cut = bake::field(&deformation, &grid, format, out, &progress)?;
             Ok(())
         } else {
-            let options = bake::BakeOptions { interpolation, fill: arguments.fill, progress: Some(&progress) };
+            let options = bake::BakeOptions {
+                interpolation,
+                fill: arguments.fill,
+                progress: Some(&progress),
+            };
             bake::volume(volume, &deformation, &grid, format, out, &options)
         }
     })?;

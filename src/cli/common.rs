@@ -127,12 +127,19 @@ pub struct Common {
 
 /// Warnings from the volume's reader.
 pub fn warnings(scene: &Scene, assets: &Assets) -> Vec<String> {
-    assets.volume.warnings_with_options().iter().map(|warning| format!("{}: {warning}", shown(scene.volume_name()))).collect()
+    assets
+        .volume
+        .warnings_with_options()
+        .iter()
+        .map(|warning| format!("{}: {warning}", shown(scene.volume_name())))
+        .collect()
 }
 
 /// A name from a scene, made printable.
 fn shown(name: &str) -> String {
-    path_of(name).to_string_lossy().replace(char::is_control, "\u{fffd}")
+    path_of(name)
+        .to_string_lossy()
+        .replace(char::is_control, "\u{fffd}")
 }
 
 impl Common {
@@ -168,9 +175,19 @@ impl Common {
         transfer.level = self.level.or(transfer.level);
         scene.render.precompose = self.precompose.or(scene.render.precompose);
         scene.surface.iso = self.iso.or(scene.surface.iso);
-        for appearance in scene.mesh.iter_mut().map(|m| &mut m.appearance).chain([&mut scene.surface.appearance]) {
+        for appearance in scene
+            .mesh
+            .iter_mut()
+            .map(|m| &mut m.appearance)
+            .chain([&mut scene.surface.appearance])
+        {
             if let Some(look) = &self.look {
-                (appearance.look, appearance.color, appearance.inside_color, appearance.cut_color) = (Some(look.clone()), None, None, None);
+                (
+                    appearance.look,
+                    appearance.color,
+                    appearance.inside_color,
+                    appearance.cut_color,
+                ) = (Some(look.clone()), None, None, None);
             }
             appearance.model = match self.cut_model {
                 Some(CutModelName::Hollow) => Some(CutModel::Hollow),
@@ -180,22 +197,38 @@ impl Common {
             };
         }
         if let Some(mesh) = &self.inside {
-            let volume = scene.volume.as_mut().ok_or_else(|| Error::value("--inside", "needs a volume to show inside of the mesh"))?;
+            let volume = scene
+                .volume
+                .as_mut()
+                .ok_or_else(|| Error::value("--inside", "needs a volume to show inside of the mesh"))?;
             // An option's path is relative to the current folder; a scene's own paths are relative
             // to the scene.
             let path = std::path::absolute(mesh).map_err(|e| Error::io(mesh, "reading", e))?;
-            volume.inside = Some(InsideMesh { path: text_of(&path), ..InsideMesh::default() });
+            volume.inside = Some(InsideMesh {
+                path: text_of(&path),
+                ..InsideMesh::default()
+            });
         }
         for text in &self.deform {
-            scene.deformation.push(arguments::deformation(&text_of(Path::new(text)))?);
+            scene
+                .deformation
+                .push(arguments::deformation(&text_of(Path::new(text)))?);
         }
         Ok(scene)
     }
 
     /// A camera in another direction, without the zoom, target and roll of the scene's own camera.
     pub fn camera_from_view(&self, view: View, camera: &Camera) -> Camera {
-        let seen = Camera { view, projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
-        Camera { zoom: self.zoom.unwrap_or(seen.zoom), ..seen }
+        let seen = Camera {
+            view,
+            projection: camera.projection,
+            field_of_view: camera.field_of_view,
+            ..Camera::default()
+        };
+        Camera {
+            zoom: self.zoom.unwrap_or(seen.zoom),
+            ..seen
+        }
     }
 
     /// Sets the requested number of threads.
@@ -203,12 +236,20 @@ impl Common {
     /// # Errors
     /// An invalid number, or threads that the system refuses.
     pub fn use_threads(&self) -> Result<()> {
-        let Some(threads) = self.threads else { return Ok(()) };
+        let Some(threads) = self.threads else {
+            return Ok(());
+        };
         if !(1..=1024).contains(&threads) {
-            return Err(Error::value("--threads", format!("{threads} is outside 1 to 1024")));
+            return Err(Error::value(
+                "--threads",
+                format!("{threads} is outside 1 to 1024"),
+            ));
         }
         // The pool can be created once per process; this is its first use.
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|e| Error::value("--threads", e.to_string()))
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global()
+            .map_err(|e| Error::value("--threads", e.to_string()))
     }
 
     /// Loads the scene's assets and prints the warnings of its volume's reader.
@@ -216,7 +257,13 @@ impl Common {
     /// # Errors
     /// Errors from the readers.
     pub fn load(&self, scene: &Scene, bar: &TerminalProgress) -> Result<Assets> {
-        let assets = Assets::load_with(scene, &LoadOptions { progress: Some(&|what, share| bar.set(what, share)), ..LoadOptions::default() })?;
+        let assets = Assets::load_with(
+            scene,
+            &LoadOptions {
+                progress: Some(&|what, share| bar.set(what, share)),
+                ..LoadOptions::default()
+            },
+        )?;
         self.report(warnings(scene, &assets));
         Ok(assets)
     }
@@ -238,7 +285,11 @@ impl Common {
     /// # Errors
     /// A destination that cannot be written.
     pub fn stats_file(&self) -> Result<Option<OutputFile>> {
-        self.stats.as_deref().filter(|p| *p != Path::new("-")).map(OutputFile::create).transpose()
+        self.stats
+            .as_deref()
+            .filter(|p| *p != Path::new("-"))
+            .map(OutputFile::create)
+            .transpose()
     }
 
     /// Writes the output of `--stats` and `--json`.

@@ -51,7 +51,13 @@ pub struct CompareArguments {
     backend: CompareBackends,
     /// Modes to compare; by default slice and raycast if there is a volume, and surface if the
     /// scene has a surface.
-    #[arg(long, value_enum, value_name = "MODE,...", value_delimiter = ',', conflicts_with = "mode")]
+    #[arg(
+        long,
+        value_enum,
+        value_name = "MODE,...",
+        value_delimiter = ',',
+        conflicts_with = "mode"
+    )]
     modes: Vec<ModeName>,
     /// Sampling distances in voxels, e.g. 0.5,1,2.
     #[arg(long, value_name = "STEP,...", value_delimiter = ',', conflicts_with = "step")]
@@ -126,7 +132,10 @@ impl CompareArguments {
         }
         if !self.cameras.is_empty() {
             let views: Vec<View> = self.cameras.iter().flat_map(|c| c.0.iter().copied()).collect();
-            plan.cameras = once(&views).into_iter().map(|view| self.common.camera_from_view(view, &plan.scene.camera)).collect();
+            plan.cameras = once(&views)
+                .into_iter()
+                .map(|view| self.common.camera_from_view(view, &plan.scene.camera))
+                .collect();
         }
         plan.repeat = self.repeat;
         plan.reference = (!self.no_reference).then_some(self.reference);
@@ -145,11 +154,22 @@ impl CompareArguments {
         let is_there = |p: &&Path| p.as_os_str().is_empty() || p.exists();
         let nearest = folder.ancestors().find(is_there).unwrap_or(Path::new("."));
         if !nearest.as_os_str().is_empty() && !nearest.is_dir() {
-            return Err(Error::file(nearest, "is a file; --output names a folder below it"));
+            return Err(Error::file(
+                nearest,
+                "is a file; --output names a folder below it",
+            ));
         }
-        let names = ["index.html", "report.json", "runs.csv", "pairs.csv", "picture.png"];
+        let names = [
+            "index.html",
+            "report.json",
+            "runs.csv",
+            "pairs.csv",
+            "picture.png",
+        ];
         if folder.is_dir() {
-            names.iter().try_for_each(|name| OutputFile::create(&folder.join(name)).map(|_tried| ()))?;
+            names
+                .iter()
+                .try_for_each(|name| OutputFile::create(&folder.join(name)).map(|_tried| ()))?;
         } else {
             // The folder does not exist yet: check that files can be created in its nearest
             // existing ancestor.
@@ -161,13 +181,21 @@ impl CompareArguments {
     /// Checks that no output is an input, and that no two outputs are the same file.
     fn protect<'a>(&self, scene: &Scene, names: impl Iterator<Item = &'a str> + Clone) -> Result<()> {
         let read = scene.files();
-        let read = || read.iter().map(PathBuf::as_path).chain([self.common.input.as_path()]);
+        let read = || {
+            read.iter()
+                .map(PathBuf::as_path)
+                .chain([self.common.input.as_path()])
+        };
         if let Some(stats) = self.common.stats.as_ref().filter(|p| *p != Path::new("-")) {
             protect("--stats", stats, read().collect::<Vec<_>>())?;
-            names.clone().try_for_each(|name| check_distinct(&self.output.join(name), "--stats", stats))?;
+            names
+                .clone()
+                .try_for_each(|name| check_distinct(&self.output.join(name), "--stats", stats))?;
         }
         let paths: Vec<&Path> = read().collect();
-        names.into_iter().try_for_each(|name| protect("--output", &self.output.join(name), paths.iter().copied()))
+        names
+            .into_iter()
+            .try_for_each(|name| protect("--output", &self.output.join(name), paths.iter().copied()))
     }
 }
 
@@ -196,7 +224,11 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
     if let Some(file) = &stats_file {
         file.check()?;
     }
-    let title = common.input.file_name().unwrap_or(common.input.as_os_str()).to_string_lossy();
+    let title = common
+        .input
+        .file_name()
+        .unwrap_or(common.input.as_os_str())
+        .to_string_lossy();
     let report = lab::run(&plan, &assets, gpu, &title, &|what, share| bar.set(what, share))?;
     bar.finish();
     common.report(assets.library.notices());
@@ -216,8 +248,13 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
 /// Prints a summary of the results.
 fn summary(report: &Report) {
     for run in report.runs.iter().filter(|run| !run.is_reference) {
-        let error = run.error.map_or(String::new(), |d| format!(", RMS error {} of 255", number(d.rms())));
-        super::print_to_stderr(format_args!("{}: {:.1} ms{error}", run.name, run.milliseconds.median));
+        let error = run.error.map_or(String::new(), |d| {
+            format!(", RMS error {} of 255", number(d.rms()))
+        });
+        super::print_to_stderr(format_args!(
+            "{}: {:.1} ms{error}",
+            run.name, run.milliseconds.median
+        ));
     }
 }
 
@@ -228,10 +265,25 @@ mod tests {
     #[test]
     fn cameras_are_names_and_pairs() {
         let views = |text: &str| cameras(text).map(|c| c.0.into_iter().map(String::from).collect::<Vec<_>>());
-        assert_eq!(views("anterior,left,40,20"), Ok(vec!["anterior".into(), "left".into(), "40,20".into()]));
-        assert_eq!(views("anterior; -40, 20 ;left"), Ok(vec!["anterior".into(), "-40,20".into(), "left".into()]));
+        assert_eq!(
+            views("anterior,left,40,20"),
+            Ok(vec!["anterior".into(), "left".into(), "40,20".into()])
+        );
+        assert_eq!(
+            views("anterior; -40, 20 ;left"),
+            Ok(vec!["anterior".into(), "-40,20".into(), "left".into()])
+        );
         assert_eq!(views("-40,-20,10,5"), Ok(vec!["-40,-20".into(), "10,5".into()]));
-        for bad in ["", "above", "40", "anterior,40", "anterior;;left", "40,20,30", "nan,3", "10,95"] {
+        for bad in [
+            "",
+            "above",
+            "40",
+            "anterior,40",
+            "anterior;;left",
+            "40,20,30",
+            "nan,3",
+            "10,95",
+        ] {
             assert!(views(bad).is_err(), "{bad}");
         }
     }

@@ -38,13 +38,24 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
     let wanted: Vec<&Kind> = if arguments.kind.is_empty() {
         kinds::list().collect()
     } else {
-        arguments.kind.iter().map(|name| kinds::kind(name)).collect::<Result<_>>()?
+        arguments
+            .kind
+            .iter()
+            .map(|name| kinds::kind(name))
+            .collect::<Result<_>>()?
     };
     if !(16..=2048).contains(&arguments.edge) {
-        return Err(Error::value("--edge", format!("{} is outside 16 to 2048 pixels", arguments.edge)));
+        return Err(Error::value(
+            "--edge",
+            format!("{} is outside 16 to 2048 pixels", arguments.edge),
+        ));
     }
     // One name stands for all pictures: none may end up among the slices of an input folder.
-    protect("--output", &arguments.output.join("picture.png"), [arguments.volume.as_path()])?;
+    protect(
+        "--output",
+        &arguments.output.join("picture.png"),
+        [arguments.volume.as_path()],
+    )?;
     std::fs::create_dir_all(&arguments.output).map_err(|e| Error::io(&arguments.output, "making", e))?;
     let own = text_of(&arguments.volume);
     let bar = TerminalProgress::new(arguments.quiet);
@@ -61,12 +72,18 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
         for (m, (label, path)) in volumes.iter().enumerate() {
             bar.set("rendering", (n * volumes.len() + m) as f32 / all as f32);
             let scene = example::of_kind(kind, path, arguments.edge, &assets[m].volume.bounds_in_world());
-            let picture = engine.picture(&scene, &assets[m], &RenderRequest::default()).map(|p| p.rendered.picture);
+            let picture = engine
+                .picture(&scene, &assets[m], &RenderRequest::default())
+                .map(|p| p.rendered.picture);
             match picture {
                 Ok(picture) => {
                     let file = format!("{}-{label}.png", kind.name);
-                    OutputFile::create(&arguments.output.join(&file))?.finish(&picture.png(scene.render.background)?)?;
-                    cells.push_str(&format!("<td><img src=\"{file}\" alt=\"{} on the {label}\"></td>", kind.name));
+                    OutputFile::create(&arguments.output.join(&file))?
+                        .finish(&picture.png(scene.render.background)?)?;
+                    cells.push_str(&format!(
+                        "<td><img src=\"{file}\" alt=\"{} on the {label}\"></td>",
+                        kind.name
+                    ));
                 }
                 // Some kinds need a surface or labels, which a volume may lack.
                 Err(e) => {
@@ -82,7 +99,10 @@ pub fn run(arguments: &GalleryArguments) -> Result<()> {
                 Unit::Degrees => ", degrees",
                 Unit::None => "",
             };
-            about.push_str(&format!("<dt>{}</dt><dd>{}{unit}; default {}, from {} to {}</dd>", p.name, p.about, p.default, p.min, p.max));
+            about.push_str(&format!(
+                "<dt>{}</dt><dd>{}{unit}; default {}, from {} to {}</dd>",
+                p.name, p.about, p.default, p.min, p.max
+            ));
         }
         for s in kind.own_settings() {
             about.push_str(&format!("<dt>{}</dt><dd>{}</dd>", s.name, s.about));

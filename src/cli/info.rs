@@ -37,7 +37,12 @@ const TILTED: f64 = 0.05;
 /// Prints the contents of a file.
 pub fn run(arguments: &InfoArguments) -> Result<()> {
     let path = &arguments.file;
-    let report = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+    let report = match path
+        .extension()
+        .and_then(|e| e.to_str())
+        .map(str::to_ascii_lowercase)
+        .as_deref()
+    {
         Some("toml") => scene_report(path)?,
         _ if mesh::load::is_mesh(path) => mesh_report(&mesh::load::mesh(path)?),
         _ => {
@@ -52,14 +57,22 @@ pub fn run(arguments: &InfoArguments) -> Result<()> {
                 // Only one of several series is unreadable.
                 (Err(error), Some(series)) if series.len() > 1 => {
                     let report = json!({ "kind": "volume", "format": "DICOM", "all_series": series });
-                    super::print(&if arguments.json { format!("{report:#}") } else { as_text(&report) })?;
+                    super::print(&if arguments.json {
+                        format!("{report:#}")
+                    } else {
+                        as_text(&report)
+                    })?;
                     return Err(error);
                 }
                 (Err(error), _) => return Err(error),
             }
         }
     };
-    super::print(&if arguments.json { format!("{report:#}") } else { as_text(&report) })
+    super::print(&if arguments.json {
+        format!("{report:#}")
+    } else {
+        as_text(&report)
+    })
 }
 
 /// The report on a volume, with all series of its file.
@@ -84,7 +97,11 @@ fn volume_report(volume: &Volume) -> Value {
         "i8" => 2 * voxels,
         _ => 4 * voxels,
     };
-    let colors = if volume.colors.is_some() { volume.components.max(3) * voxels } else { 0 };
+    let colors = if volume.colors.is_some() {
+        volume.components.max(3) * voxels
+    } else {
+        0
+    };
     let determinant = volume.world_from_voxel.matrix3.determinant();
     let spacing = volume.spacing_mm();
     let mut report = json!({
@@ -111,7 +128,11 @@ fn volume_report(volume: &Volume) -> Value {
     if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {
         entries.insert("labels".into(), json!(labels));
         if !volume.label_table.is_empty() {
-            let names: serde_json::Map<String, Value> = volume.label_table.iter().map(|l| (l.value.to_string(), json!(l.name))).collect();
+            let names: serde_json::Map<String, Value> = volume
+                .label_table
+                .iter()
+                .map(|l| (l.value.to_string(), json!(l.name)))
+                .collect();
             entries.insert("label_names".into(), json!(names));
         }
     }
@@ -196,7 +217,9 @@ fn as_text(report: &Value) -> String {
                 }
                 Value::String(s) => s.clone(),
                 Value::Array(a) if a.is_empty() => "none".into(),
-                Value::Array(a) if a.iter().all(Value::is_string) => a.iter().filter_map(Value::as_str).collect::<Vec<_>>().join("; "),
+                Value::Array(a) if a.iter().all(Value::is_string) => {
+                    a.iter().filter_map(Value::as_str).collect::<Vec<_>>().join("; ")
+                }
                 other => other.to_string(),
             };
             out.push_str(&format!("{:indent$}{name:<14} {text}\n", ""));
@@ -233,7 +256,10 @@ pub fn catalogue() -> String {
                 Unit::Degrees => ", degrees",
                 Unit::None => "",
             };
-            out.push_str(&format!("    {:<20} {}{unit}; default {}, from {} to {}\n", p.name, p.about, p.default, p.min, p.max));
+            out.push_str(&format!(
+                "    {:<20} {}{unit}; default {}, from {} to {}\n",
+                p.name, p.about, p.default, p.min, p.max
+            ));
         }
         for s in k.own_settings() {
             out.push_str(&format!("    {:<20} {}\n", s.name, s.about));

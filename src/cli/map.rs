@@ -83,7 +83,10 @@ struct CheckArguments {
 }
 
 /// The box for maps if no volume is named: 200 mm around the origin.
-const NOMINAL_BOX: Bounds = Bounds { min: Vec3::splat(-100.0), max: Vec3::splat(100.0) };
+const NOMINAL_BOX: Bounds = Bounds {
+    min: Vec3::splat(-100.0),
+    max: Vec3::splat(100.0),
+};
 
 /// Runs the command.
 pub fn run(arguments: &MapArguments) -> Result<()> {
@@ -95,9 +98,16 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
     };
     let format = Format::of(path)?;
     let what = text_of(input);
-    protect("--output", path, arguments.volume.as_deref().into_iter().chain([input]))?;
+    protect(
+        "--output",
+        path,
+        arguments.volume.as_deref().into_iter().chain([input]),
+    )?;
     if let Some(n) = arguments.resolution.filter(|n| !(8..=512).contains(n)) {
-        return Err(Error::value("--resolution", format!("{n} is outside 8 to 512 points")));
+        return Err(Error::value(
+            "--resolution",
+            format!("{n} is outside 8 to 512 points"),
+        ));
     }
     let output = OutputFile::create(path)?;
     let bar = TerminalProgress::new(arguments.quiet);
@@ -107,10 +117,15 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         }
     };
     let name = what.split(':').next().unwrap_or_default();
-    let is_kind = !input.exists() && (crate::deform::kinds::kind(name).is_ok() || FILE_KINDS.iter().any(|k| k.name == name));
+    let is_kind = !input.exists()
+        && (crate::deform::kinds::kind(name).is_ok() || FILE_KINDS.iter().any(|k| k.name == name));
     let placed = if is_kind {
         let made = map_of_kind(&what, path, arguments, &note)?;
-        if arguments.invert { inverse_of_map(&made, &note)? } else { made }
+        if arguments.invert {
+            inverse_of_map(&made, &note)?
+        } else {
+            made
+        }
     } else {
         if !input.exists() && !what.contains(['/', '.']) {
             // Neither a kind nor a file: the error lists the kinds.
@@ -125,7 +140,9 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         saved::encode(&placed)?
     } else {
         if cut {
-            note("the map contains cuts, which a field cannot represent; write .nrrd to keep the mask".into());
+            note(
+                "the map contains cuts, which a field cannot represent; write .nrrd to keep the mask".into(),
+            );
         }
         encode_field(&placed, format)?
     };
@@ -133,7 +150,12 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
 }
 
 /// The map of a kind with its parameters, `what`, to be written to `path`.
-fn map_of_kind(what: &str, path: &Path, arguments: &MapArguments, note: &impl Fn(String)) -> Result<PlacedMap> {
+fn map_of_kind(
+    what: &str,
+    path: &Path,
+    arguments: &MapArguments,
+    note: &impl Fn(String),
+) -> Result<PlacedMap> {
     let mut scene = match &arguments.volume {
         Some(v) => Scene::of_input(v)?,
         None => Scene::of_volume("phantom:ball:size=8"),
@@ -151,8 +173,14 @@ fn map_of_kind(what: &str, path: &Path, arguments: &MapArguments, note: &impl Fn
         [one] => Ok(one.clone()),
         _ => {
             let resolution = compose::Resolution::Within(0.05);
-            let composed = compose::stack(&stack, &assets.volume.bounds_in_world(), resolution, Storage::F32, &compose::evaluate)?
-                .ok_or_else(|| Error::value(what, "yields no map; choose another kind or file"))?;
+            let composed = compose::stack(
+                &stack,
+                &assets.volume.bounds_in_world(),
+                resolution,
+                Storage::F32,
+                &compose::evaluate,
+            )?
+            .ok_or_else(|| Error::value(what, "yields no map; choose another kind or file"))?;
             if !composed.within {
                 note(format!(
                     "{what}: the transforms were composed into one map; its error is up to {:.2} mm (99th percentile: {:.2} mm)",
@@ -172,7 +200,10 @@ fn encode_field(placed: &PlacedMap, format: Format) -> Result<Vec<u8>> {
 
 fn inverse_of_map(placed: &PlacedMap, note: &impl Fn(String)) -> Result<PlacedMap> {
     let grid = compose::grid_of(&placed.placement, placed.map.size);
-    let inverse = invert::function(&|p| p + (placed.backward(p.as_vec3()).0 - p.as_vec3()).as_dvec3(), &grid);
+    let inverse = invert::function(
+        &|p| p + (placed.backward(p.as_vec3()).0 - p.as_vec3()).as_dvec3(),
+        &grid,
+    );
     report(&inverse.report, note);
     inverse.placed(Storage::F32, 1.0)
 }
@@ -185,27 +216,55 @@ fn report(r: &invert::InversionReport, note: &impl Fn(String)) {
 }
 
 /// The transform in a file, and the box of the volume to which it applies.
-fn load_transform(path: &Path, volume: Option<&Path>, convention: Option<&str>) -> Result<(Transform, Bounds)> {
-    let volume = volume.map(|v| load::volume(v, &ReadOptions::default(), &Watch::NONE)).transpose()?;
+fn load_transform(
+    path: &Path,
+    volume: Option<&Path>,
+    convention: Option<&str>,
+) -> Result<(Transform, Bounds)> {
+    let volume = volume
+        .map(|v| load::volume(v, &ReadOptions::default(), &Watch::NONE))
+        .transpose()?;
     let grid = volume.as_ref().map(|v| v.geometry());
-    let transform = Transform::load(path, &TransformContext { moving: grid, reference: grid, convention })?;
+    let transform = Transform::load(
+        path,
+        &TransformContext {
+            moving: grid,
+            reference: grid,
+            convention,
+        },
+    )?;
     let bounds = volume.map_or_else(
         || {
-            transform
-                .grid()
-                .map_or(NOMINAL_BOX, |g| Bounds::UNIT.transformed(&compose::placement_of(&g).map_or(glam::Affine3A::IDENTITY, |p| p.world_from_map)))
+            transform.grid().map_or(NOMINAL_BOX, |g| {
+                Bounds::UNIT.transformed(
+                    &compose::placement_of(&g).map_or(glam::Affine3A::IDENTITY, |p| p.world_from_map),
+                )
+            })
         },
         |v| v.bounds_in_world(),
     );
     Ok((transform, bounds))
 }
 
-fn from_file(input: &Path, arguments: &MapArguments, bar: &TerminalProgress, note: &impl Fn(String)) -> Result<PlacedMap> {
+fn from_file(
+    input: &Path,
+    arguments: &MapArguments,
+    bar: &TerminalProgress,
+    note: &impl Fn(String),
+) -> Result<PlacedMap> {
     if let Some(map) = saved_map(input)? {
-        return if arguments.invert { inverse_of_map(&map, note) } else { Ok(map) };
+        return if arguments.invert {
+            inverse_of_map(&map, note)
+        } else {
+            Ok(map)
+        };
     }
     // FSL files need the volume only if the transform is not along the axes; others ignore it.
-    let (transform, bounds) = load_transform(input, arguments.volume.as_deref(), arguments.convention.as_deref())?;
+    let (transform, bounds) = load_transform(
+        input,
+        arguments.volume.as_deref(),
+        arguments.convention.as_deref(),
+    )?;
     transform.warnings.iter().cloned().for_each(note);
     bar.set("working", 0.5);
     if !arguments.invert {
@@ -234,13 +293,21 @@ fn saved_map(path: &Path) -> Result<Option<PlacedMap>> {
     if !name.ends_with(".nrrd") && !name.ends_with(".nhdr") {
         return Ok(None);
     }
-    if load::image(path, &ReadOptions::default(), &Watch::NONE)?.displacement { saved::read(path, Storage::F32, 1.0).map(Some) } else { Ok(None) }
+    if load::image(path, &ReadOptions::default(), &Watch::NONE)?.displacement {
+        saved::read(path, Storage::F32, 1.0).map(Some)
+    } else {
+        Ok(None)
+    }
 }
 
 /// Runs `map check`.
 fn run_check(arguments: &CheckArguments) -> Result<()> {
     let path = &arguments.file;
-    let CheckOutputs { csv, picture, to_standard_output } = CheckOutputs::open(arguments)?;
+    let CheckOutputs {
+        csv,
+        picture,
+        to_standard_output,
+    } = CheckOutputs::open(arguments)?;
     let (examined, warnings) = checked_field(arguments)?;
     let health = examined.health(!arguments.no_inverse);
     if let Some(file) = csv {
@@ -248,7 +315,11 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
     }
     if let Some(file) = picture {
         let (width, height, rgb) = examined.picture();
-        file.finish(&encode_png(&rgb, [width as u32, height as u32], image::ExtendedColorType::Rgb8)?)?;
+        file.finish(&encode_png(
+            &rgb,
+            [width as u32, height as u32],
+            image::ExtendedColorType::Rgb8,
+        )?)?;
     }
     let grid = examined.field.grid;
     let report = json!({ "file": path.display().to_string(), "size": grid.size, "health": health, "warnings": warnings });
@@ -274,7 +345,13 @@ struct CheckOutputs {
 impl CheckOutputs {
     /// Opens the files; an error if one of them is an input or another output.
     fn open(arguments: &CheckArguments) -> Result<Self> {
-        let read = || arguments.volume.as_deref().into_iter().chain([arguments.file.as_path()]);
+        let read = || {
+            arguments
+                .volume
+                .as_deref()
+                .into_iter()
+                .chain([arguments.file.as_path()])
+        };
         for (option, written) in [("--csv", &arguments.csv), ("--picture", &arguments.picture)] {
             if let Some(written) = written {
                 protect(option, written, read())?;
@@ -283,13 +360,32 @@ impl CheckOutputs {
         if let (Some(csv), Some(picture)) = (&arguments.csv, &arguments.picture) {
             check_distinct(csv, "--picture", picture)?;
         }
-        let csv = arguments.csv.as_deref().map(OutputFile::create_or_standard).transpose()?;
-        let picture = arguments.picture.as_deref().map(OutputFile::create_or_standard).transpose()?;
-        let to_standard_output = [&csv, &picture].into_iter().flatten().filter(|o| o.is_standard_output()).count();
+        let csv = arguments
+            .csv
+            .as_deref()
+            .map(OutputFile::create_or_standard)
+            .transpose()?;
+        let picture = arguments
+            .picture
+            .as_deref()
+            .map(OutputFile::create_or_standard)
+            .transpose()?;
+        let to_standard_output = [&csv, &picture]
+            .into_iter()
+            .flatten()
+            .filter(|o| o.is_standard_output())
+            .count();
         if to_standard_output + usize::from(arguments.json) > 1 {
-            return Err(Error::value("--csv, --picture, --json", "only one of them can go to standard output; write the others to files"));
+            return Err(Error::value(
+                "--csv, --picture, --json",
+                "only one of them can go to standard output; write the others to files",
+            ));
         }
-        Ok(Self { csv, picture, to_standard_output })
+        Ok(Self {
+            csv,
+            picture,
+            to_standard_output,
+        })
     }
 }
 
@@ -298,12 +394,34 @@ fn checked_field(arguments: &CheckArguments) -> Result<(CheckedField, Vec<String
     match saved_map(&arguments.file)? {
         Some(map) => Ok((CheckedField::of_map(&map), Vec::new())),
         None => {
-            let (transform, bounds) = load_transform(&arguments.file, arguments.volume.as_deref(), arguments.convention.as_deref())?;
+            let (transform, bounds) = load_transform(
+                &arguments.file,
+                arguments.volume.as_deref(),
+                arguments.convention.as_deref(),
+            )?;
             let warnings = transform.warnings.clone();
             match <[TransformStep; 1]>::try_from(transform.steps) {
                 Ok([TransformStep::Field(field)]) => Ok((whole(field), warnings)),
-                Ok(steps) => Ok((sampled(Transform { steps: steps.into(), warnings: Vec::new() }, &bounds)?, warnings)),
-                Err(steps) => Ok((sampled(Transform { steps, warnings: Vec::new() }, &bounds)?, warnings)),
+                Ok(steps) => Ok((
+                    sampled(
+                        Transform {
+                            steps: steps.into(),
+                            warnings: Vec::new(),
+                        },
+                        &bounds,
+                    )?,
+                    warnings,
+                )),
+                Err(steps) => Ok((
+                    sampled(
+                        Transform {
+                            steps,
+                            warnings: Vec::new(),
+                        },
+                        &bounds,
+                    )?,
+                    warnings,
+                )),
             }
         }
     }
@@ -311,18 +429,53 @@ fn checked_field(arguments: &CheckArguments) -> Result<(CheckedField, Vec<String
 
 /// The statistics of the field in a file as text, one figure per line.
 fn report_as_text(path: &Path, size: [usize; 3], health: &FieldQuality, warnings: &[String]) -> String {
-    let mut out = format!("{} on {} x {} x {} points\n", path.display(), size[0], size[1], size[2]);
+    let mut out = format!(
+        "{} on {} x {} x {} points\n",
+        path.display(),
+        size[0],
+        size[1],
+        size[2]
+    );
     let mut line = |name: &str, text: String| out.push_str(&format!("  {name:<22} {text}\n"));
-    line("det J", format!("{:.4} to {:.4}, mean {:.4}", health.det_min, health.det_max, health.det_mean));
-    line("folds (det J <= 0)", format!("{:.3} % of the points", health.folds_percent));
-    line("displacement", format!("largest {:.3} mm, mean {:.3} mm", health.largest_mm, health.mean_mm));
+    line(
+        "det J",
+        format!(
+            "{:.4} to {:.4}, mean {:.4}",
+            health.det_min, health.det_max, health.det_mean
+        ),
+    );
+    line(
+        "folds (det J <= 0)",
+        format!("{:.3} % of the points", health.folds_percent),
+    );
+    line(
+        "displacement",
+        format!(
+            "largest {:.3} mm, mean {:.3} mm",
+            health.largest_mm, health.mean_mm
+        ),
+    );
     line(
         "at the border",
-        format!("up to {:.3} mm{}", health.border_mm, if health.border_mm > 0.1 { "; the displacement jumps to zero there" } else { "" }),
+        format!(
+            "up to {:.3} mm{}",
+            health.border_mm,
+            if health.border_mm > 0.1 {
+                "; the displacement jumps to zero there"
+            } else {
+                ""
+            }
+        ),
     );
     line("cut away", format!("{:.3} % of the points", health.cut_percent));
     if let Some(r) = &health.inverse {
-        line("inverse", format!("residual 99th percentile {:.4} mm, largest {:.4} mm; {} points without a source", r.p99_mm, r.max_mm, r.not_found));
+        line(
+            "inverse",
+            format!(
+                "residual 99th percentile {:.4} mm, largest {:.4} mm; {} points without a source",
+                r.p99_mm, r.max_mm, r.not_found
+            ),
+        );
     }
     for w in warnings {
         line("note", w.clone());

@@ -98,11 +98,19 @@ pub fn main() -> CommandOutcome {
         Some(Command::Schema) => print(&format!("{:#}", schema())),
         Some(Command::List) => print(&info::catalogue()),
         None => {
-            if let Some(word) =
-                cli.file.as_ref().and_then(|f| f.to_str()).filter(|w| !w.contains(['.', '/', '\\', ':']) && !std::path::Path::new(w).exists())
+            if let Some(word) = cli
+                .file
+                .as_ref()
+                .and_then(|f| f.to_str())
+                .filter(|w| !w.contains(['.', '/', '\\', ':']) && !std::path::Path::new(w).exists())
             {
-                let commands = ["render", "compare", "bake", "map", "gallery", "sdf", "info", "schema", "list"];
-                print_to_stderr(format_args!("there is no command and no file \"{word}\"; {}", crate::error::suggestion(word, commands)));
+                let commands = [
+                    "render", "compare", "bake", "map", "gallery", "sdf", "info", "schema", "list",
+                ];
+                print_to_stderr(format_args!(
+                    "there is no command and no file \"{word}\"; {}",
+                    crate::error::suggestion(word, commands)
+                ));
                 return CommandOutcome::Done(ExitCode::from(2));
             }
             WINDOW.store(true, Ordering::Relaxed);
@@ -117,7 +125,11 @@ pub fn finish(result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            let remedy = if matches!(error, Error::GpuLimit(_)) { "; use --backend cpu" } else { "" };
+            let remedy = if matches!(error, Error::GpuLimit(_)) {
+                "; use --backend cpu"
+            } else {
+                ""
+            };
             print_to_stderr(format_args!("{}{remedy}", error.printable()));
             ExitCode::FAILURE
         }

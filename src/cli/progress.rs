@@ -21,7 +21,10 @@ impl TerminalProgress {
             bar.set_length(1000);
             bar
         });
-        Self { bar, start: Instant::now() }
+        Self {
+            bar,
+            start: Instant::now(),
+        }
     }
 
     /// Sets the current stage and the fraction done.

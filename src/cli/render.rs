@@ -42,16 +42,28 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
         file.check()?;
     }
     let strict = arguments.backend == Backend::Gpu;
-    let mut engine = Engine::open(EngineOptions { backend: arguments.backend, strict, ..EngineOptions::default() })?;
+    let mut engine = Engine::open(EngineOptions {
+        backend: arguments.backend,
+        strict,
+        ..EngineOptions::default()
+    })?;
     let preparing = |share| bar.set("preparing", share);
     let prepared = engine.prepare(&scene, &assets, &Watch::reporting(&preparing))?;
     common.report(assets.library.notices());
     let needs_stats = common.stats.is_some() || common.json;
     let rendering = |share| bar.set("rendering", share);
-    let request = RenderRequest { count_samples: needs_stats, watch: Watch::reporting(&rendering), ..RenderRequest::default() };
+    let request = RenderRequest {
+        count_samples: needs_stats,
+        watch: Watch::reporting(&rendering),
+        ..RenderRequest::default()
+    };
     let (rendered, device) = engine.render(&prepared, &request)?;
     bar.finish();
-    common.report(engine.fallback().map(|error| format!("{error}; rendering on the CPU")));
+    common.report(
+        engine
+            .fallback()
+            .map(|error| format!("{error}; rendering on the CPU")),
+    );
     common.report(&rendered.notices);
     let mut stages = assets.stages.clone();
     stages.0.extend(prepared.stages.0.iter().copied());
@@ -60,12 +72,29 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     stages.time("write", || output.finish(&bytes))?;
     let total = start.elapsed().as_secs_f64() * 1e3;
     if needs_stats {
-        let notices = [warnings(&scene, &assets), assets.library.notices(), rendered.notices.clone()].concat();
-        let report = report(&rendered, &device, &prepared, &stages, &notices, total, arguments.backend);
+        let notices = [
+            warnings(&scene, &assets),
+            assets.library.notices(),
+            rendered.notices.clone(),
+        ]
+        .concat();
+        let report = report(
+            &rendered,
+            &device,
+            &prepared,
+            &stages,
+            &notices,
+            total,
+            arguments.backend,
+        );
         common.write_stats(&format!("{report:#}"), stats_file)?;
     }
     if common.verbose {
-        super::print_to_stderr(format_args!("{} on {} in {total:.0} ms", arguments.output.display(), device.name));
+        super::print_to_stderr(format_args!(
+            "{} on {} in {total:.0} ms",
+            arguments.output.display(),
+            device.name
+        ));
     }
     Ok(())
 }
@@ -75,9 +104,20 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
 fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(OutputFile, Option<OutputFile>)> {
     let (picture, common) = (&arguments.output, &arguments.common);
     let read = scene.files();
-    let written = [Some(("--output", picture)), common.stats.as_ref().map(|s| ("--stats", s))];
-    for (option, path) in written.into_iter().flatten().filter(|(_, path)| *path != Path::new("-")) {
-        protect(option, path, read.iter().map(PathBuf::as_path).chain([common.input.as_path()]))?;
+    let written = [
+        Some(("--output", picture)),
+        common.stats.as_ref().map(|s| ("--stats", s)),
+    ];
+    for (option, path) in written
+        .into_iter()
+        .flatten()
+        .filter(|(_, path)| *path != Path::new("-"))
+    {
+        protect(
+            option,
+            path,
+            read.iter().map(PathBuf::as_path).chain([common.input.as_path()]),
+        )?;
     }
     if let Some(stats) = common.stats.as_ref().filter(|s| *s != Path::new("-")) {
         check_distinct(picture, "--stats", stats)?;
@@ -85,11 +125,19 @@ fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(OutputFile, Op
     let output = OutputFile::create_or_standard(picture)?;
     let is_png = || picture.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
     if output.is_file() && !is_png() {
-        return Err(Error::value(format!("--output {}", picture.display()), "pictures are written as PNG; give a name that ends in .png"));
+        return Err(Error::value(
+            format!("--output {}", picture.display()),
+            "pictures are written as PNG; give a name that ends in .png",
+        ));
     }
     let stats = common.stats_file()?;
-    if output.is_standard_output() && (common.reports_to_standard_output() || stats.as_ref().is_some_and(OutputFile::is_standard_output)) {
-        return Err(Error::value("--stats, --json", "the picture and the report cannot both go to standard output; write one of them to a file"));
+    if output.is_standard_output()
+        && (common.reports_to_standard_output() || stats.as_ref().is_some_and(OutputFile::is_standard_output))
+    {
+        return Err(Error::value(
+            "--stats, --json",
+            "the picture and the report cannot both go to standard output; write one of them to a file",
+        ));
     }
     Ok((output, stats))
 }
@@ -104,10 +152,20 @@ fn report(
     requested: Backend,
 ) -> Value {
     let Picture { width, height, .. } = rendered.picture;
-    let stage_entries: serde_json::Map<String, Value> = stages.0.iter().map(|(name, ms)| ((*name).to_owned(), json!(ms))).collect();
-    let samples = rendered.stats.map(|RenderStats { samples_taken, samples_skipped, samples_terminated }| {
-        json!({ "taken": samples_taken, "skipped": samples_skipped, "terminated": samples_terminated })
-    });
+    let stage_entries: serde_json::Map<String, Value> = stages
+        .0
+        .iter()
+        .map(|(name, ms)| ((*name).to_owned(), json!(ms)))
+        .collect();
+    let samples = rendered.stats.map(
+        |RenderStats {
+             samples_taken,
+             samples_skipped,
+             samples_terminated,
+         }| {
+            json!({ "taken": samples_taken, "skipped": samples_skipped, "terminated": samples_terminated })
+        },
+    );
     let maps: Vec<Value> = prepared
         .stack
         .maps()

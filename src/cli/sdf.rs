@@ -51,7 +51,10 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
     let format = Format::of(&arguments.output)?;
     protect("--output", &arguments.output, [arguments.mesh.as_path()])?;
     if !(8..=4096).contains(&arguments.resolution) {
-        return Err(Error::value("--resolution", format!("{} is outside 8 to 4096 points", arguments.resolution)));
+        return Err(Error::value(
+            "--resolution",
+            format!("{} is outside 8 to 4096 points", arguments.resolution),
+        ));
     }
     if arguments.cell.is_some_and(|c| !(c.is_finite() && c > 0.0)) {
         return Err(Error::value("--cell", "must be a positive number of millimetres"));
@@ -68,11 +71,18 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
         }
     }
     let bar = TerminalProgress::new(arguments.quiet);
-    let settings = FieldSettings { resolution: arguments.resolution, cell_mm: arguments.cell, region, exact: arguments.exact, parity: false };
+    let settings = FieldSettings {
+        resolution: arguments.resolution,
+        cell_mm: arguments.cell,
+        region,
+        exact: arguments.exact,
+        parity: false,
+    };
     let progress = |share| bar.set("computing", share);
     let watch = Watch::reporting(&progress);
     let start = Instant::now();
-    let field = MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;
+    let field =
+        MeshField::new(&mesh, &settings, &watch).map_err(|problem| Error::file(&arguments.mesh, problem))?;
     let field_ms = start.elapsed().as_secs_f64() * 1e3;
     bar.finish();
     write_field(&field, format, arguments, output)?;
@@ -87,15 +97,37 @@ pub fn run(arguments: &SdfArguments) -> Result<()> {
 }
 
 /// Writes the distances, mm, with the geometry of their grid.
-fn write_field(field: &MeshField, format: Format, arguments: &SdfArguments, output: OutputFile) -> Result<()> {
+fn write_field(
+    field: &MeshField,
+    format: Format,
+    arguments: &SdfArguments,
+    output: OutputFile,
+) -> Result<()> {
     let m = field.grid.world_from_grid;
-    let linear = DMat3::from_cols(m.matrix3.x_axis.as_dvec3(), m.matrix3.y_axis.as_dvec3(), m.matrix3.z_axis.as_dvec3());
-    let geometry = GridGeometry { size: field.grid.size, world_from_voxel: DAffine3::from_mat3_translation(linear, m.translation.as_dvec3()) };
+    let linear = DMat3::from_cols(
+        m.matrix3.x_axis.as_dvec3(),
+        m.matrix3.y_axis.as_dvec3(),
+        m.matrix3.z_axis.as_dvec3(),
+    );
+    let geometry = GridGeometry {
+        size: field.grid.size,
+        world_from_voxel: DAffine3::from_mat3_translation(linear, m.translation.as_dvec3()),
+    };
     output.finish_with(|file| {
         let problem = |e: String| Error::file(&arguments.output, e);
-        let mut writer = Writer::new(file, format, &geometry, Content::Scalar(ScalarType::F32, Rescale::NONE)).map_err(problem)?;
-        writer.push(bytemuck::cast_slice(flat(&field.grid.distance_mm))).map_err(|e| Error::io(&arguments.output, "writing", e))?;
-        writer.finish().map_err(|e| Error::io(&arguments.output, "writing", e))?;
+        let mut writer = Writer::new(
+            file,
+            format,
+            &geometry,
+            Content::Scalar(ScalarType::F32, Rescale::NONE),
+        )
+        .map_err(problem)?;
+        writer
+            .push(bytemuck::cast_slice(flat(&field.grid.distance_mm)))
+            .map_err(|e| Error::io(&arguments.output, "writing", e))?;
+        writer
+            .finish()
+            .map_err(|e| Error::io(&arguments.output, "writing", e))?;
         Ok(())
     })
 }
@@ -144,14 +176,23 @@ fn report(mesh: &Mesh, field: &MeshField, exact: bool, [read_ms, field_ms]: [f64
 fn corners(text: &str) -> Result<Bounds> {
     let v: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).collect();
     let b = match v[..] {
-        [a, b, c, d, e, f] if text.split(',').count() == 6 => {
-            Bounds::new(Vec3::new(a, b, c).min(Vec3::new(d, e, f)), Vec3::new(a, b, c).max(Vec3::new(d, e, f)))
+        [a, b, c, d, e, f] if text.split(',').count() == 6 => Bounds::new(
+            Vec3::new(a, b, c).min(Vec3::new(d, e, f)),
+            Vec3::new(a, b, c).max(Vec3::new(d, e, f)),
+        ),
+        _ => {
+            return Err(Error::value(
+                format!("--box {text}"),
+                "needs two corners: six numbers, x,y,z,x,y,z",
+            ));
         }
-        _ => return Err(Error::value(format!("--box {text}"), "needs two corners: six numbers, x,y,z,x,y,z")),
     };
     if b.size().min_element() > 0.0 && b.size().is_finite() {
         Ok(b)
     } else {
-        Err(Error::value(format!("--box {text}"), "is empty; the corners must differ along every axis"))
+        Err(Error::value(
+            format!("--box {text}"),
+            "is empty; the corners must differ along every axis",
+        ))
     }
 }

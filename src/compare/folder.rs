@@ -33,28 +33,46 @@ impl Report {
         let mut taken = HashSet::new();
         let mut pictures = Vec::new();
         for run in &self.runs {
-            pictures.push(Encoded { file: file_name(&plain(&run.name), &mut taken), png: run.picture.png(self.background)? });
+            pictures.push(Encoded {
+                file: file_name(&plain(&run.name), &mut taken),
+                png: run.picture.png(self.background)?,
+            });
         }
         let mut differences = Vec::new();
         for pair in &self.pairs {
             let [a, b] = [pair.a, pair.b].map(|n| &self.runs[n]);
-            let file = file_name(&format!("difference-{}-{}", plain(&a.name), plain(&b.name)), &mut taken);
+            let file = file_name(
+                &format!("difference-{}-{}", plain(&a.name), plain(&b.name)),
+                &mut taken,
+            );
             let shown = difference_picture(&a.picture, &b.picture, self.amplify)?;
-            differences.push(Encoded { file, png: shown.png([0.0, 0.0, 0.0, 1.0])? });
+            differences.push(Encoded {
+                file,
+                png: shown.png([0.0, 0.0, 0.0, 1.0])?,
+            });
         }
         let equal = equal_errors(&self.runs);
         let json = format!("{:#}\n", self.json(&pictures, &differences, &equal));
         let page = self.page(&pictures, &differences, &equal);
-        let texts =
-            [("report.json", json), ("runs.csv", self.runs_csv(&pictures)), ("pairs.csv", self.pairs_csv(&differences)), ("index.html", page)];
+        let texts = [
+            ("report.json", json),
+            ("runs.csv", self.runs_csv(&pictures)),
+            ("pairs.csv", self.pairs_csv(&differences)),
+            ("index.html", page),
+        ];
         let pictures = pictures.into_iter().chain(differences).map(|e| (e.file, e.png));
-        Ok(pictures.chain(texts.map(|(file, text)| (file.to_owned(), text.into_bytes()))).collect())
+        Ok(pictures
+            .chain(texts.map(|(file, text)| (file.to_owned(), text.into_bytes())))
+            .collect())
     }
 
     fn json(&self, pictures: &[Encoded], differences: &[Encoded], equal: &[EqualError]) -> Value {
         let row = |(run, picture): (&Run, &Encoded)| {
             let samples = run.stats.map(|s| json!({ "taken": s.samples_taken, "skipped": s.samples_skipped, "terminated": s.samples_terminated }));
-            let reference = run.error.and_then(|_| self.runs.iter().find(|r| r.is_reference && r.shown == run.shown)).map(|r| &r.name);
+            let reference = run
+                .error
+                .and_then(|_| self.runs.iter().find(|r| r.is_reference && r.shown == run.shown))
+                .map(|r| &r.name);
             json!({
                 "name": run.name,
                 "mode": run.mode,
@@ -84,7 +102,14 @@ impl Report {
                 "picture": picture.file,
             })
         };
-        let rows = |references: bool| -> Vec<Value> { self.runs.iter().zip(pictures).filter(|r| r.0.is_reference == references).map(row).collect() };
+        let rows = |references: bool| -> Vec<Value> {
+            self.runs
+                .iter()
+                .zip(pictures)
+                .filter(|r| r.0.is_reference == references)
+                .map(row)
+                .collect()
+        };
         let pair = |(pair, picture): (&RunPair, &Encoded)| {
             let d = pair.difference;
             json!({
@@ -136,31 +161,70 @@ impl Report {
         header.extend(stages.iter().map(|stage| format!("milliseconds {stage}")));
         let mut text = csv_line(&header);
         for (run, picture) in self.runs.iter().zip(pictures) {
-            let mut line = vec![run.name.clone(), mode_name(run.mode).to_owned(), run.backend.clone(), run.step.to_string()];
+            let mut line = vec![
+                run.name.clone(),
+                mode_name(run.mode).to_owned(),
+                run.backend.clone(),
+                run.step.to_string(),
+            ];
             line.extend(run.shown.size.map(|n| n.to_string()));
             line.push(run.shown.camera.clone());
-            line.extend([run.milliseconds, run.rendering].iter().flat_map(|t| [t.median, t.min, t.max]).map(|ms| ms.to_string()));
+            line.extend(
+                [run.milliseconds, run.rendering]
+                    .iter()
+                    .flat_map(|t| [t.median, t.min, t.max])
+                    .map(|ms| ms.to_string()),
+            );
             line.extend([run.repetitions.to_string(), optional(run.warm_up)]);
             line.extend(samples(run).map(optional));
             let memory = run.memory;
-            line.extend([memory.volume_bytes, memory.gradient_bytes, memory.map_bytes, memory.surface_bytes].map(|n| n.to_string()));
+            line.extend(
+                [
+                    memory.volume_bytes,
+                    memory.gradient_bytes,
+                    memory.map_bytes,
+                    memory.surface_bytes,
+                ]
+                .map(|n| n.to_string()),
+            );
             line.push(optional(run.memory.peak_bytes));
-            line.extend(run.error.map_or([None; 5], |d| [d.mean, d.max, d.rms(), d.psnr_db, d.ssim].map(Some)).map(optional));
+            line.extend(
+                run.error
+                    .map_or([None; 5], |d| {
+                        [d.mean, d.max, d.rms(), d.psnr_db, d.ssim].map(Some)
+                    })
+                    .map(optional),
+            );
             line.extend([run.is_reference.to_string(), picture.file.clone()]);
-            line.extend(stages.iter().map(|stage| optional(stage_milliseconds(run, stage))));
+            line.extend(
+                stages
+                    .iter()
+                    .map(|stage| optional(stage_milliseconds(run, stage))),
+            );
             text.push_str(&csv_line(&line));
         }
         text
     }
 
     fn pairs_csv(&self, differences: &[Encoded]) -> String {
-        let mut text = csv_line(&["a", "b", "mean", "max", "psnr_db", "ssim", "rms", "picture"].map(String::from));
+        let mut text =
+            csv_line(&["a", "b", "mean", "max", "psnr_db", "ssim", "rms", "picture"].map(String::from));
         for (pair, picture) in self.pairs.iter().zip(differences) {
             let d = pair.difference;
             let [a, b] = [pair.a, pair.b].map(|n| self.runs[n].name.clone());
             // An infinite PSNR is written as `inf`, which CSV readers parse as infinity.
-            let [mean, max, psnr_db, ssim, rms] = [d.mean, d.max, d.psnr_db, d.ssim, d.rms()].map(|v| v.to_string());
-            text.push_str(&csv_line(&[a, b, mean, max, psnr_db, ssim, rms, picture.file.clone()]));
+            let [mean, max, psnr_db, ssim, rms] =
+                [d.mean, d.max, d.psnr_db, d.ssim, d.rms()].map(|v| v.to_string());
+            text.push_str(&csv_line(&[
+                a,
+                b,
+                mean,
+                max,
+                psnr_db,
+                ssim,
+                rms,
+                picture.file.clone(),
+            ]));
         }
         text
     }
@@ -172,17 +236,33 @@ impl Report {
 /// A folder that cannot be created or written, or that holds an entry that cannot be replaced; then
 /// nothing is written.
 pub fn write_files(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
-    if let Some(path) = files.iter().map(|(file, _)| folder.join(file)).find(|path| path.is_dir()) {
-        return Err(Error::file(&path, "is a folder where a file is to be written; remove it, or choose another folder"));
+    if let Some(path) = files
+        .iter()
+        .map(|(file, _)| folder.join(file))
+        .find(|path| path.is_dir())
+    {
+        return Err(Error::file(
+            &path,
+            "is a folder where a file is to be written; remove it, or choose another folder",
+        ));
     }
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "making", e))?;
-    let outputs = files.iter().map(|(file, _)| OutputFile::create(&folder.join(file))).collect::<Result<Vec<_>>>()?;
-    outputs.into_iter().zip(files).try_for_each(|(output, (_, content))| output.finish(content))
+    let outputs = files
+        .iter()
+        .map(|(file, _)| OutputFile::create(&folder.join(file)))
+        .collect::<Result<Vec<_>>>()?;
+    outputs
+        .into_iter()
+        .zip(files)
+        .try_for_each(|(output, (_, content))| output.finish(content))
 }
 
 /// Stage names with their milliseconds.
 fn stage_list(stages: &[(String, f64)]) -> Vec<Value> {
-    stages.iter().map(|(name, ms)| json!({ "name": name, "milliseconds": ms })).collect()
+    stages
+        .iter()
+        .map(|(name, ms)| json!({ "name": name, "milliseconds": ms }))
+        .collect()
 }
 
 /// A single-precision number with its shortest decimal form: converted directly to double it would
@@ -204,10 +284,20 @@ fn optional<T: ToString>(value: Option<T>) -> String {
 /// A name that is valid on any file system, without an extension: letters, digits, hyphens and
 /// underscores.
 fn plain(name: &str) -> String {
-    let safe = name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' });
+    let safe = name.chars().map(|c| {
+        if c.is_ascii_alphanumeric() || c == '_' {
+            c
+        } else {
+            '-'
+        }
+    });
     let plain: String = safe.take(MAX_NAME).collect();
     let plain = plain.trim_matches('-');
-    if plain.is_empty() { "run".to_owned() } else { plain.to_owned() }
+    if plain.is_empty() {
+        "run".to_owned()
+    } else {
+        plain.to_owned()
+    }
 }
 
 /// The picture file for a plain name, distinct from all `taken` names even without regard to case.
@@ -224,7 +314,11 @@ fn file_name(plain: &str, taken: &mut HashSet<String>) -> String {
 /// One line of CSV (RFC 4180, except for the line end).
 fn csv_line(fields: &[String]) -> String {
     let quoted = |field: &String| {
-        if field.contains([',', '"', '\n', '\r']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field.clone() }
+        if field.contains([',', '"', '\n', '\r']) {
+            format!("\"{}\"", field.replace('"', "\"\""))
+        } else {
+            field.clone()
+        }
     };
     let mut line = fields.iter().map(quoted).collect::<Vec<_>>().join(",");
     line.push('\n');
@@ -237,8 +331,17 @@ mod tests {
     use crate::compare::report::tests::run;
 
     fn report(names: [&str; 2]) -> Report {
-        let runs = vec![run(names[0], [0.2, 0.2, 0.2, 1.0]), run(names[1], [0.3, 0.2, 0.2, 1.0])];
-        Report::new("Slices & rays", "incise = 1\n[volume]\npath = \"<ball>\"\n", [0.0, 0.0, 0.0, 1.0], runs).unwrap()
+        let runs = vec![
+            run(names[0], [0.2, 0.2, 0.2, 1.0]),
+            run(names[1], [0.3, 0.2, 0.2, 1.0]),
+        ];
+        Report::new(
+            "Slices & rays",
+            "incise = 1\n[volume]\npath = \"<ball>\"\n",
+            [0.0, 0.0, 0.0, 1.0],
+            runs,
+        )
+        .unwrap()
     }
 
     #[test]
@@ -246,17 +349,37 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path().join("made/here");
         report(["slice", "ray, 1/2"]).write(&folder).unwrap();
-        let mut files: Vec<String> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        let mut files: Vec<String> = std::fs::read_dir(&folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
         files.sort();
-        let expected = ["difference-slice-ray--1-2.png", "index.html", "pairs.csv", "ray--1-2.png", "report.json", "runs.csv", "slice.png"];
+        let expected = [
+            "difference-slice-ray--1-2.png",
+            "index.html",
+            "pairs.csv",
+            "ray--1-2.png",
+            "report.json",
+            "runs.csv",
+            "slice.png",
+        ];
         assert_eq!(files, expected);
         let read = |file: &str| std::fs::read_to_string(folder.join(file)).unwrap();
         let json: Value = serde_json::from_str(&read("report.json")).unwrap();
         assert_eq!(json["incise"], VERSION);
         assert_eq!(json["size"], json!([4, 3]));
-        assert_eq!(json["runs"][0]["samples"], json!({ "taken": 1_234_567, "skipped": 2, "terminated": 3 }));
-        assert_eq!(json["runs"][1]["stages"][1], json!({ "name": "render", "milliseconds": 10.0 }));
-        assert_eq!((&json["pairs"][0]["a"], &json["pairs"][0]["b"]), (&json!("slice"), &json!("ray, 1/2")));
+        assert_eq!(
+            json["runs"][0]["samples"],
+            json!({ "taken": 1_234_567, "skipped": 2, "terminated": 3 })
+        );
+        assert_eq!(
+            json["runs"][1]["stages"][1],
+            json!({ "name": "render", "milliseconds": 10.0 })
+        );
+        assert_eq!(
+            (&json["pairs"][0]["a"], &json["pairs"][0]["b"]),
+            (&json!("slice"), &json!("ray, 1/2"))
+        );
         assert!((json["pairs"][0]["max"].as_f64().unwrap() - 25.5).abs() < 1e-3);
         assert_eq!(json["pairs"][0]["picture"], "difference-slice-ray--1-2.png");
         let runs = read("runs.csv");
@@ -266,9 +389,19 @@ mod tests {
                     .contains("\n\"ray, 1/2\",slice,cpu,0.5,4,3,anterior,12.5,12,14,10,9,11,3,,1234567,2,3,64,0,0,0,,,,,,,false,ray--1-2.png,2,10\n"),
             "{runs}"
         );
-        assert!(read("pairs.csv").lines().nth(1).is_some_and(|line| line.starts_with("slice,\"ray, 1/2\",")));
+        assert!(
+            read("pairs.csv")
+                .lines()
+                .nth(1)
+                .is_some_and(|line| line.starts_with("slice,\"ray, 1/2\","))
+        );
         let html = read("index.html");
-        assert!(!html.contains("http") && !html.contains("<ball>") && html.contains("&lt;ball&gt;") && html.contains("Slices &amp; rays"));
+        assert!(
+            !html.contains("http")
+                && !html.contains("<ball>")
+                && html.contains("&lt;ball&gt;")
+                && html.contains("Slices &amp; rays")
+        );
         assert_eq!(html.matches("data:image/png;base64,").count(), 3);
         let decoded = image::load_from_memory(&std::fs::read(folder.join("slice.png")).unwrap()).unwrap();
         assert_eq!((decoded.width(), decoded.height()), (4, 3));
@@ -278,10 +411,21 @@ mod tests {
     fn equal_pictures_have_no_psnr_in_json() {
         let folder = tempfile::tempdir().unwrap();
         let runs = vec![run("a", [0.5; 4]), run("b", [0.5; 4])];
-        Report::new("", "", [0.0; 4], runs).unwrap().write(folder.path()).unwrap();
-        let json: Value = serde_json::from_slice(&std::fs::read(folder.path().join("report.json")).unwrap()).unwrap();
-        assert!(json["pairs"][0]["psnr_db"].is_null() && json["pairs"][0]["ssim"] == 1.0, "{json}");
-        assert!(std::fs::read_to_string(folder.path().join("pairs.csv")).unwrap().contains(",inf,"));
+        Report::new("", "", [0.0; 4], runs)
+            .unwrap()
+            .write(folder.path())
+            .unwrap();
+        let json: Value =
+            serde_json::from_slice(&std::fs::read(folder.path().join("report.json")).unwrap()).unwrap();
+        assert!(
+            json["pairs"][0]["psnr_db"].is_null() && json["pairs"][0]["ssim"] == 1.0,
+            "{json}"
+        );
+        assert!(
+            std::fs::read_to_string(folder.path().join("pairs.csv"))
+                .unwrap()
+                .contains(",inf,")
+        );
     }
 
     #[test]
@@ -294,7 +438,13 @@ mod tests {
         let mut taken = HashSet::new();
         assert_eq!(file_name("A", &mut taken), "A.png");
         assert_eq!(file_name("a", &mut taken), "a-2.png");
-        for (name, expected) in [("...", "run"), ("", "run"), ("difference-../x", "difference----x"), ("näher", "n-her"), ("a\\b:c", "a-b-c")] {
+        for (name, expected) in [
+            ("...", "run"),
+            ("", "run"),
+            ("difference-../x", "difference----x"),
+            ("näher", "n-her"),
+            ("a\\b:c", "a-b-c"),
+        ] {
             assert_eq!(plain(name), expected);
         }
         assert!(plain(&"long ".repeat(100)).len() <= MAX_NAME);

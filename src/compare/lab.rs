@@ -40,7 +40,11 @@ const GPU_SHARE: f32 = 0.2;
 /// # Errors
 /// There is no GPU, or it cannot be opened.
 pub fn open_gpu() -> Result<Engine> {
-    Engine::open(EngineOptions { backend: Backend::Gpu, strict: true, time_passes: true })
+    Engine::open(EngineOptions {
+        backend: Backend::Gpu,
+        strict: true,
+        time_passes: true,
+    })
 }
 
 /// Renders all runs of a plan and compares them. `progress` receives the current stage and the
@@ -49,12 +53,29 @@ pub fn open_gpu() -> Result<Engine> {
 /// # Errors
 /// As [`Plan::check`]; any setting that cannot be used, by name; GPU errors, if the GPU is
 /// required.
-pub fn run(plan: &Plan, assets: &Assets, gpu: Option<Engine>, title: &str, progress: &(dyn Fn(&'static str, f32) + Sync)) -> Result<Report> {
+pub fn run(
+    plan: &Plan,
+    assets: &Assets,
+    gpu: Option<Engine>,
+    title: &str,
+    progress: &(dyn Fn(&'static str, f32) + Sync),
+) -> Result<Report> {
     plan.check(usize::from(plan.on_cpu) + usize::from(gpu.is_some()))?;
-    let progress = SweepProgress { progress, done: 0.0, all: work(plan, gpu.is_some()) };
+    let progress = SweepProgress {
+        progress,
+        done: 0.0,
+        all: work(plan, gpu.is_some()),
+    };
     let gpu_name = gpu.as_ref().map(gpu_name);
     let first_preparation = first_preparation(plan, assets)?;
-    let mut sweep = Sweep { plan, assets, gpu, progress, notices: Vec::new(), runs: Vec::new() };
+    let mut sweep = Sweep {
+        plan,
+        assets,
+        gpu,
+        progress,
+        notices: Vec::new(),
+        runs: Vec::new(),
+    };
     for camera in &plan.cameras {
         for &size in &plan.sizes {
             let first = sweep.runs.len();
@@ -70,13 +91,25 @@ pub fn run(plan: &Plan, assets: &Assets, gpu: Option<Engine>, title: &str, progr
             }
         }
     }
-    let Sweep { mut notices, runs, .. } = sweep;
+    let Sweep {
+        mut notices, runs, ..
+    } = sweep;
     let mut seen = BTreeSet::new();
     notices.retain(|n| seen.insert(n.clone()));
     let pairs = pairs_of(&runs);
-    let mut report = Report::of_pairs(title, plan.scene.to_toml()?, plan.scene.render.background, runs, pairs)?;
+    let mut report = Report::of_pairs(
+        title,
+        plan.scene.to_toml()?,
+        plan.scene.render.background,
+        runs,
+        pairs,
+    )?;
     report.protocol = Some(Protocol {
-        cpu: format!("{}, {} threads", std::env::consts::ARCH, rayon::current_num_threads()),
+        cpu: format!(
+            "{}, {} threads",
+            std::env::consts::ARCH,
+            rayon::current_num_threads()
+        ),
         gpu: gpu_name,
         repeat: plan.repeat,
         reference_step: plan.reference,
@@ -113,13 +146,18 @@ impl Sweep<'_> {
             self.add(measured);
         }
         if let Some(gpu) = &mut self.gpu {
-            let part = self.progress.part(mode, GPU_SHARE * repetition * (plan.repeat + 2) as f32);
+            let part = self
+                .progress
+                .part(mode, GPU_SHARE * repetition * (plan.repeat + 2) as f32);
             let measured = on_gpu(plan, scene, self.assets, gpu, &part);
             self.progress.done = part.end;
             match measured {
                 Ok(measured) => self.add(measured),
                 Err(error) if plan.gpu_is_required => return Err(error),
-                Err(error) => self.notices.push(format!("{} is left out: {error}", plan.name(&format!("{mode} gpu"), scene, true))),
+                Err(error) => self.notices.push(format!(
+                    "{} is left out: {error}",
+                    plan.name(&format!("{mode} gpu"), scene, true)
+                )),
             }
         }
         Ok(())
@@ -136,16 +174,26 @@ impl Sweep<'_> {
     fn judge(&mut self, first: usize, scene: &Scene) -> Result<()> {
         let RenderSettings { mode, step, size, .. } = scene.render;
         let is_judged = |run: &Run| !run.is_reference && run.shown.surface == (mode == Mode::Surface);
-        let judged: Vec<usize> = (first..self.runs.len()).filter(|n| is_judged(&self.runs[*n])).collect();
+        let judged: Vec<usize> = (first..self.runs.len())
+            .filter(|n| is_judged(&self.runs[*n]))
+            .collect();
         if judged.is_empty() {
             return Ok(());
         }
         let part = self.progress.part("reference", area(size) / step);
-        let name = self.plan.name(&format!("{} reference", mode_name(mode)), scene, false);
+        let name = self
+            .plan
+            .name(&format!("{} reference", mode_name(mode)), scene, false);
         Prepared::new(scene, self.assets)?;
         let share = |share: f32| part.report(share);
-        let request = RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() };
-        let reference = Run { is_reference: true, ..timed_run(&mut Engine::cpu(), scene, self.assets, &name, &request)? };
+        let request = RenderRequest {
+            watch: Watch::reporting(&share),
+            ..RenderRequest::default()
+        };
+        let reference = Run {
+            is_reference: true,
+            ..timed_run(&mut Engine::cpu(), scene, self.assets, &name, &request)?
+        };
         self.progress.done = part.end;
         for n in judged {
             self.runs[n].error = Some(difference(&self.runs[n].picture, &reference.picture)?);
@@ -159,7 +207,10 @@ impl Sweep<'_> {
 fn first_preparation(plan: &Plan, assets: &Assets) -> Result<Vec<(String, f64)>> {
     let mut stages: Vec<(String, f64)> = Vec::new();
     for &mode in &plan.modes {
-        let prepared = Prepared::new(&plan.at(mode, plan.steps[0], plan.sizes[0], &plan.cameras[0]), assets)?;
+        let prepared = Prepared::new(
+            &plan.at(mode, plan.steps[0], plan.sizes[0], &plan.cameras[0]),
+            assets,
+        )?;
         for (name, milliseconds) in owned(&[&prepared.stages]) {
             match stages.iter_mut().find(|s| s.0 == name) {
                 Some(stage) => stage.1 += milliseconds,
@@ -179,7 +230,13 @@ struct SweepProgress<'a> {
 
 impl<'a> SweepProgress<'a> {
     fn part(&self, what: &'static str, work: f32) -> ProgressPart<'a> {
-        ProgressPart { progress: self.progress, what, start: self.done, end: self.done + work, all: self.all }
+        ProgressPart {
+            progress: self.progress,
+            what,
+            start: self.done,
+            end: self.done + work,
+            all: self.all,
+        }
     }
 }
 
@@ -194,7 +251,10 @@ struct ProgressPart<'a> {
 
 impl ProgressPart<'_> {
     fn report(&self, share: f32) {
-        (self.progress)(self.what, ((self.start + share * (self.end - self.start)) / self.all).clamp(0.0, 1.0));
+        (self.progress)(
+            self.what,
+            ((self.start + share * (self.end - self.start)) / self.all).clamp(0.0, 1.0),
+        );
     }
 }
 
@@ -205,11 +265,17 @@ fn area([width, height]: [u32; 2]) -> f32 {
 /// Approximate work of a plan, in samples.
 fn work(plan: &Plan, gpu: bool) -> f32 {
     let per_pixel: f32 = plan.steps.iter().map(|s| 1.0 / s).sum();
-    let repetitions = if plan.on_cpu { plan.repeat as f32 } else { 0.0 } + if gpu { GPU_SHARE * (plan.repeat + 2) as f32 } else { 0.0 };
+    let repetitions = if plan.on_cpu { plan.repeat as f32 } else { 0.0 }
+        + if gpu {
+            GPU_SHARE * (plan.repeat + 2) as f32
+        } else {
+            0.0
+        };
     let kinds = BTreeSet::from_iter(plan.modes.iter().map(|m| *m == Mode::Surface)).len();
     let references = plan.reference.map_or(0.0, |s| kinds as f32 / s);
     let pixels: f32 = plan.sizes.iter().copied().map(area).sum();
-    (pixels * plan.cameras.len() as f32 * (plan.modes.len() as f32 * per_pixel * repetitions + references)).max(f32::MIN_POSITIVE)
+    (pixels * plan.cameras.len() as f32 * (plan.modes.len() as f32 * per_pixel * repetitions + references))
+        .max(f32::MIN_POSITIVE)
 }
 
 /// Merges repetitions of a run: the median repetition, with the spread of all.
@@ -220,14 +286,28 @@ fn merged(mut all: Vec<Run>) -> Result<Run> {
     all.sort_by(|a, b| a.milliseconds.median.total_cmp(&b.milliseconds.median));
     let middle = all.into_iter().nth(repetitions.saturating_sub(1) / 2);
     let middle = middle.ok_or_else(|| Error::value("--repeat", "0 is outside 1 to 1000"))?;
-    Ok(Run { milliseconds: times, rendering, repetitions, ..middle })
+    Ok(Run {
+        milliseconds: times,
+        rendering,
+        repetitions,
+        ..middle
+    })
 }
 
 fn on_cpu(plan: &Plan, scene: &Scene, assets: &Assets, part: &ProgressPart) -> Result<Run> {
     let name = plan.name(&format!("{} cpu", mode_name(scene.render.mode)), scene, true);
     let once = |n: usize| {
         let share = |share: f32| part.report((n as f32 + share) / plan.repeat as f32);
-        timed_run(&mut Engine::cpu(), scene, assets, &name, &RenderRequest { watch: Watch::reporting(&share), ..RenderRequest::default() })
+        timed_run(
+            &mut Engine::cpu(),
+            scene,
+            assets,
+            &name,
+            &RenderRequest {
+                watch: Watch::reporting(&share),
+                ..RenderRequest::default()
+            },
+        )
     };
     merged((0..plan.repeat).map(once).collect::<Result<_>>()?)
 }
@@ -237,18 +317,38 @@ fn on_gpu(plan: &Plan, scene: &Scene, assets: &Assets, gpu: &mut Engine, part: &
     let pictures = plan.repeat + 2;
     let mut once = |n: usize, count_samples: bool| {
         let share = |share: f32| part.report((n as f32 + share) / pictures as f32);
-        timed_run(gpu, scene, assets, &name, &RenderRequest { count_samples, watch: Watch::reporting(&share), ..RenderRequest::default() })
+        timed_run(
+            gpu,
+            scene,
+            assets,
+            &name,
+            &RenderRequest {
+                count_samples,
+                watch: Watch::reporting(&share),
+                ..RenderRequest::default()
+            },
+        )
     };
     let first = once(0, false)?;
-    let timed = (0..plan.repeat).map(|n| once(n + 1, false)).collect::<Result<_>>()?;
+    let timed = (0..plan.repeat)
+        .map(|n| once(n + 1, false))
+        .collect::<Result<_>>()?;
     let counted = once(pictures - 1, true)?;
-    Ok(Run { warm_up: Some(first.milliseconds.median), stats: counted.stats, ..merged(timed)? })
+    Ok(Run {
+        warm_up: Some(first.milliseconds.median),
+        stats: counted.stats,
+        ..merged(timed)?
+    })
 }
 
 /// A GPU's name, for display.
 fn gpu_name(gpu: &Engine) -> String {
     let device = gpu.device();
-    let soft = if device.is_software { ", a software adapter: its times are a processor's" } else { "" };
+    let soft = if device.is_software {
+        ", a software adapter: its times are a processor's"
+    } else {
+        ""
+    };
     format!("{}{soft}", device.name)
 }
 
@@ -260,7 +360,12 @@ pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
     let is_informative = |[a, b]: &[usize; 2]| {
         let (a, b) = (&runs[*a], &runs[*b]);
         let renderers = a.step == b.step && (a.mode, &a.backend) != (b.mode, &b.backend);
-        a.shown == b.shown && if a.is_reference || b.is_reference { a.is_reference != b.is_reference } else { renderers }
+        a.shown == b.shown
+            && if a.is_reference || b.is_reference {
+                a.is_reference != b.is_reference
+            } else {
+                renderers
+            }
     };
     all.filter(is_informative).collect()
 }
@@ -280,8 +385,18 @@ mod tests {
             run("d", Mode::Slice, "gpu", 1.0, 1.0, 1.0),
             run("e", Mode::Surface, "cpu", 1.0, 1.0, 1.0),
             run("r", Mode::Raycast, "cpu", 0.0625, 0.0, 1.0),
-            Run { shown: ViewKey { camera: "left".into(), size: [1, 1], surface: false }, ..run("f", Mode::Raycast, "cpu", 1.0, 1.0, 1.0) },
+            Run {
+                shown: ViewKey {
+                    camera: "left".into(),
+                    size: [1, 1],
+                    surface: false,
+                },
+                ..run("f", Mode::Raycast, "cpu", 1.0, 1.0, 1.0)
+            },
         ];
-        assert_eq!(pairs_of(&runs), [[0, 2], [0, 3], [0, 5], [1, 5], [2, 3], [2, 5], [3, 5]]);
+        assert_eq!(
+            pairs_of(&runs),
+            [[0, 2], [0, 3], [0, 5], [1, 5], [2, 3], [2, 5], [3, 5]]
+        );
     }
 }

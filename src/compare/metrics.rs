@@ -24,7 +24,12 @@ const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
 
 /// Colours of differences, evenly spaced: each is brighter than the one before, and none requires
 /// telling red from green.
-const RAMP: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [0.24, 0.16, 0.62], [0.93, 0.52, 0.13], [1.0, 0.97, 0.76]];
+const RAMP: [[f32; 3]; 4] = [
+    [0.0, 0.0, 0.0],
+    [0.24, 0.16, 0.62],
+    [0.93, 0.52, 0.13],
+    [1.0, 0.97, 0.76],
+];
 
 /// The difference between two pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -68,8 +73,17 @@ pub fn difference(a: &Picture, b: &Picture) -> Result<Difference> {
         }
     }
     let count = 4.0 * a.pixels.len() as f64;
-    let psnr_db = if squares > 0.0 { -10.0 * (squares / count).log10() } else { f64::INFINITY };
-    Ok(Difference { mean: 255.0 * sum / count, max: 255.0 * max, psnr_db, ssim: ssim(a, b) })
+    let psnr_db = if squares > 0.0 {
+        -10.0 * (squares / count).log10()
+    } else {
+        f64::INFINITY
+    };
+    Ok(Difference {
+        mean: 255.0 * sum / count,
+        max: 255.0 * max,
+        psnr_db,
+        ssim: ssim(a, b),
+    })
 }
 
 /// The largest difference of any channel, per pixel and times `amplify`, as an opaque colour: black
@@ -80,23 +94,43 @@ pub fn difference(a: &Picture, b: &Picture) -> Result<Difference> {
 pub fn difference_picture(a: &Picture, b: &Picture, amplify: f32) -> Result<Picture> {
     check(a, b)?;
     if !(amplify.is_finite() && amplify > 0.0) {
-        return Err(Error::value("amplify", format!("{amplify} is not a valid amplification; it must be positive")));
+        return Err(Error::value(
+            "amplify",
+            format!("{amplify} is not a valid amplification; it must be positive"),
+        ));
     }
-    let shown = |(p, q): (&[f32; 4], &[f32; 4])| ramp(channel_differences(p, q).into_iter().fold(0.0, f32::max) * amplify);
-    Ok(Picture { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(shown).collect() })
+    let shown = |(p, q): (&[f32; 4], &[f32; 4])| {
+        ramp(channel_differences(p, q).into_iter().fold(0.0, f32::max) * amplify)
+    };
+    Ok(Picture {
+        width: a.width,
+        height: a.height,
+        pixels: a.pixels.iter().zip(&b.pixels).map(shown).collect(),
+    })
 }
 
 fn check(a: &Picture, b: &Picture) -> Result<()> {
     if (a.width, a.height) != (b.width, b.height) {
-        let problem = format!("one has {} x {} pixels, the other {} x {}; make both of one size", a.width, a.height, b.width, b.height);
+        let problem = format!(
+            "one has {} x {} pixels, the other {} x {}; make both of one size",
+            a.width, a.height, b.width, b.height
+        );
         return Err(Error::value("pictures", problem));
     }
     for picture in [a, b] {
-        if picture.pixels.is_empty() || picture.pixels.len() != picture.width as usize * picture.height as usize {
-            return Err(Error::value("pictures", "one has no pixels, or not as many as its size says; there is nothing to compare"));
+        if picture.pixels.is_empty()
+            || picture.pixels.len() != picture.width as usize * picture.height as usize
+        {
+            return Err(Error::value(
+                "pictures",
+                "one has no pixels, or not as many as its size says; there is nothing to compare",
+            ));
         }
         if picture.pixels.iter().flatten().any(|v| v.is_nan()) {
-            return Err(Error::value("pictures", "one has values that are not numbers (NaN); it cannot be compared"));
+            return Err(Error::value(
+                "pictures",
+                "one has values that are not numbers (NaN); it cannot be compared",
+            ));
         }
     }
     Ok(())
@@ -119,7 +153,17 @@ fn ramp(difference: f32) -> [f32; 4] {
 
 /// Luminance over black, which premultiplied colour already is.
 fn luminance(picture: &Picture) -> Vec<f32> {
-    picture.pixels.iter().map(|p| LUMINANCE.iter().zip(p).map(|(weight, v)| weight * v.clamp(0.0, 1.0)).sum::<f32>()).collect()
+    picture
+        .pixels
+        .iter()
+        .map(|p| {
+            LUMINANCE
+                .iter()
+                .zip(p)
+                .map(|(weight, v)| weight * v.clamp(0.0, 1.0))
+                .sum::<f32>()
+        })
+        .collect()
 }
 
 /// The Gaussian window of SSIM along one axis; its weights sum to 1.
@@ -145,7 +189,10 @@ fn ssim(a: &Picture, b: &Picture) -> f64 {
             let mut columns = vec![[0.0; 5]; width];
             for (k, weight) in window.iter().enumerate() {
                 let start = (y + k).saturating_sub(RADIUS).min(height - 1) * width;
-                for (column, (&p, &q)) in columns.iter_mut().zip(a[start..][..width].iter().zip(&b[start..][..width])) {
+                for (column, (&p, &q)) in columns
+                    .iter_mut()
+                    .zip(a[start..][..width].iter().zip(&b[start..][..width]))
+                {
                     let (p, q) = (f64::from(p), f64::from(q));
                     add(column, *weight, &[p, q, p * p, q * q, p * q]);
                 }
@@ -153,7 +200,11 @@ fn ssim(a: &Picture, b: &Picture) -> f64 {
             let similarity_at = |x: usize| {
                 let mut moments = [0.0; 5];
                 for (k, weight) in window.iter().enumerate() {
-                    add(&mut moments, *weight, &columns[(x + k).saturating_sub(RADIUS).min(width - 1)]);
+                    add(
+                        &mut moments,
+                        *weight,
+                        &columns[(x + k).saturating_sub(RADIUS).min(width - 1)],
+                    );
                 }
                 similarity(moments)
             };
@@ -187,30 +238,61 @@ mod tests {
             let alpha = 0.3 + 0.6 * (9.0 * x).sin().abs();
             [alpha * x, alpha * y, alpha * x * y, alpha]
         });
-        Picture { width: 40, height: 30, pixels: pixels.collect() }
+        Picture {
+            width: 40,
+            height: 30,
+            pixels: pixels.collect(),
+        }
     }
 
     fn uniform(color: [f32; 4]) -> Picture {
-        Picture { width: 17, height: 13, pixels: vec![color; 17 * 13] }
+        Picture {
+            width: 17,
+            height: 13,
+            pixels: vec![color; 17 * 13],
+        }
     }
 
     #[test]
     fn equal_pictures_are_equal() {
         let d = difference(&sample(), &sample()).unwrap();
-        assert_eq!(d, Difference { mean: 0.0, max: 0.0, psnr_db: f64::INFINITY, ssim: 1.0 });
-        assert!(difference_picture(&sample(), &sample(), 8.0).unwrap().pixels.iter().all(|p| *p == [0.0, 0.0, 0.0, 1.0]));
+        assert_eq!(
+            d,
+            Difference {
+                mean: 0.0,
+                max: 0.0,
+                psnr_db: f64::INFINITY,
+                ssim: 1.0
+            }
+        );
+        assert!(
+            difference_picture(&sample(), &sample(), 8.0)
+                .unwrap()
+                .pixels
+                .iter()
+                .all(|p| *p == [0.0, 0.0, 0.0, 1.0])
+        );
     }
 
     #[test]
     fn an_offset_has_its_closed_form() {
         let d = difference(&uniform([0.4; 4]), &uniform([0.5; 4])).unwrap();
-        assert!((d.mean - 25.5).abs() < 1e-4 && (d.max - 25.5).abs() < 1e-4, "{d:?}");
-        assert!((d.psnr_db - 20.0).abs() < 1e-4 && (d.rms() - 25.5).abs() < 1e-3, "{d:?}");
+        assert!(
+            (d.mean - 25.5).abs() < 1e-4 && (d.max - 25.5).abs() < 1e-4,
+            "{d:?}"
+        );
+        assert!(
+            (d.psnr_db - 20.0).abs() < 1e-4 && (d.rms() - 25.5).abs() < 1e-3,
+            "{d:?}"
+        );
         assert_eq!(difference(&sample(), &sample()).unwrap().rms(), 0.0);
         let ssim = (2.0 * 0.4 * 0.5 + 1e-4) / (0.16 + 0.25 + 1e-4);
         assert!((d.ssim - ssim).abs() < 1e-6, "{d:?}, not {ssim}");
         let one_channel = difference(&uniform([0.4; 4]), &uniform([0.4, 0.4, 0.4, 0.5])).unwrap();
-        assert!((one_channel.mean - 25.5 / 4.0).abs() < 1e-4 && (one_channel.max - 25.5).abs() < 1e-4, "{one_channel:?}");
+        assert!(
+            (one_channel.mean - 25.5 / 4.0).abs() < 1e-4 && (one_channel.max - 25.5).abs() < 1e-4,
+            "{one_channel:?}"
+        );
     }
 
     #[test]
@@ -222,19 +304,39 @@ mod tests {
         alpha.pixels.iter_mut().for_each(|p| p[3] *= 0.97);
         let mut swapped = a.clone();
         swapped.pixels.iter_mut().for_each(|p| p.swap(0, 1));
-        let transparent = Picture { pixels: vec![[0.0; 4]; a.pixels.len()], ..a.clone() };
-        for (name, b) in [("shift", &shifted), ("alpha", &alpha), ("channels", &swapped), ("transparent", &transparent)] {
+        let transparent = Picture {
+            pixels: vec![[0.0; 4]; a.pixels.len()],
+            ..a.clone()
+        };
+        for (name, b) in [
+            ("shift", &shifted),
+            ("alpha", &alpha),
+            ("channels", &swapped),
+            ("transparent", &transparent),
+        ] {
             let d = difference(&a, b).unwrap();
             assert!(d.mean > 0.5 && d.max > 1.0 && d.psnr_db < 50.0, "{name}: {d:?}");
             assert_eq!(d, difference(b, &a).unwrap(), "{name} is not symmetric");
-            assert!(difference_picture(&a, b, 1.0).unwrap().pixels.iter().any(|p| p[2] > 0.0), "{name} does not show");
+            assert!(
+                difference_picture(&a, b, 1.0)
+                    .unwrap()
+                    .pixels
+                    .iter()
+                    .any(|p| p[2] > 0.0),
+                "{name} does not show"
+            );
         }
-        assert!(difference(&a, &shifted).unwrap().ssim < 0.999 && difference(&a, &swapped).unwrap().ssim < 0.999);
+        assert!(
+            difference(&a, &shifted).unwrap().ssim < 0.999 && difference(&a, &swapped).unwrap().ssim < 0.999
+        );
         // A single pixel differs.
         let mut speck = a.clone();
         speck.pixels[77][1] += 0.1;
         let d = difference(&a, &speck).unwrap();
-        assert!(d.mean > 0.0 && (d.max - 25.5).abs() < 1e-3 && d.ssim < 1.0, "{d:?}");
+        assert!(
+            d.mean > 0.0 && (d.max - 25.5).abs() < 1e-3 && d.ssim < 1.0,
+            "{d:?}"
+        );
     }
 
     #[test]
@@ -242,12 +344,32 @@ mod tests {
         let a = sample();
         let mut nan = a.clone();
         nan.pixels[77][2] = f32::NAN;
-        let turned = Picture { width: a.height, height: a.width, ..a.clone() };
-        let short = Picture { pixels: a.pixels[1..].to_vec(), ..a.clone() };
-        let none = Picture { width: 0, height: 0, pixels: Vec::new() };
-        for (name, b, c) in [("NaN", &a, &nan), ("NaN first", &nan, &a), ("size", &a, &turned), ("short", &a, &short), ("none", &none, &none)] {
+        let turned = Picture {
+            width: a.height,
+            height: a.width,
+            ..a.clone()
+        };
+        let short = Picture {
+            pixels: a.pixels[1..].to_vec(),
+            ..a.clone()
+        };
+        let none = Picture {
+            width: 0,
+            height: 0,
+            pixels: Vec::new(),
+        };
+        for (name, b, c) in [
+            ("NaN", &a, &nan),
+            ("NaN first", &nan, &a),
+            ("size", &a, &turned),
+            ("short", &a, &short),
+            ("none", &none, &none),
+        ] {
             assert!(matches!(difference(b, c), Err(Error::Value { .. })), "{name}");
-            assert!(matches!(difference_picture(b, c, 1.0), Err(Error::Value { .. })), "{name}");
+            assert!(
+                matches!(difference_picture(b, c, 1.0), Err(Error::Value { .. })),
+                "{name}"
+            );
         }
         for amplify in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert!(difference_picture(&a, &a, amplify).is_err(), "{amplify}");
@@ -256,14 +378,26 @@ mod tests {
 
     #[test]
     fn larger_differences_are_brighter() {
-        let brightness = |d: f32| ramp(d)[..3].iter().zip(LUMINANCE).map(|(v, w)| v * w).sum::<f32>();
+        let brightness = |d: f32| {
+            ramp(d)[..3]
+                .iter()
+                .zip(LUMINANCE)
+                .map(|(v, w)| v * w)
+                .sum::<f32>()
+        };
         assert!((1..=100).all(|n| brightness(n as f32 / 100.0) > brightness((n - 1) as f32 / 100.0)));
-        assert_eq!((ramp(0.0), ramp(2.0)), ([0.0, 0.0, 0.0, 1.0], [1.0, 0.97, 0.76, 1.0]));
+        assert_eq!(
+            (ramp(0.0), ramp(2.0)),
+            ([0.0, 0.0, 0.0, 1.0], [1.0, 0.97, 0.76, 1.0])
+        );
     }
 
     #[test]
     fn infinity_is_null_in_json() {
         let json = serde_json::to_value(difference(&sample(), &sample()).unwrap()).unwrap();
-        assert_eq!(json, serde_json::json!({ "mean": 0.0, "max": 0.0, "psnr_db": null, "ssim": 1.0 }));
+        assert_eq!(
+            json,
+            serde_json::json!({ "mean": 0.0, "max": 0.0, "psnr_db": null, "ssim": 1.0 })
+        );
     }
 }

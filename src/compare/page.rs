@@ -16,7 +16,10 @@ impl Report {
     pub(super) fn page(&self, pictures: &[Encoded], differences: &[Encoded], equal: &[EqualError]) -> String {
         let title = escaped(&self.title);
         let views = curves::views(&self.runs);
-        let how_large = self.size().map_or_else(|| "One scene".to_owned(), |[width, height]| format!("One scene, {width} × {height} pixels"));
+        let how_large = self.size().map_or_else(
+            || "One scene".to_owned(),
+            |[width, height]| format!("One scene, {width} × {height} pixels"),
+        );
         let mut page = format!(
             "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
              <title>{title}</title>\n<style>{STYLE}{}</style>\n<h1>{title}</h1>\n\
@@ -37,14 +40,34 @@ impl Report {
             .runs
             .iter()
             .map(|run| run.name.clone())
-            .chain(self.pairs.iter().map(|pair| format!("difference of {} and {}", self.runs[pair.a].name, self.runs[pair.b].name)))
+            .chain(self.pairs.iter().map(|pair| {
+                format!(
+                    "difference of {} and {}",
+                    self.runs[pair.a].name, self.runs[pair.b].name
+                )
+            }))
             .map(|caption| escaped(&caption))
             .collect();
         // Pictures of different views or sizes cannot be overlaid.
-        let frame_of = |run: &Run| views.iter().position(|v| v.camera == run.shown.camera && v.size == run.shown.size).unwrap_or(0);
-        let frames: Vec<usize> = self.runs.iter().map(frame_of).chain(self.pairs.iter().map(|pair| frame_of(&self.runs[pair.a]))).collect();
+        let frame_of = |run: &Run| {
+            views
+                .iter()
+                .position(|v| v.camera == run.shown.camera && v.size == run.shown.size)
+                .unwrap_or(0)
+        };
+        let frames: Vec<usize> = self
+            .runs
+            .iter()
+            .map(frame_of)
+            .chain(self.pairs.iter().map(|pair| frame_of(&self.runs[pair.a])))
+            .collect();
         if captions.len() > 1 {
-            let option = |(n, caption): (usize, &String)| format!("<option value=\"picture-{n}\" data-frame=\"{}\">{caption}</option>", frames[n]);
+            let option = |(n, caption): (usize, &String)| {
+                format!(
+                    "<option value=\"picture-{n}\" data-frame=\"{}\">{caption}</option>",
+                    frames[n]
+                )
+            };
             let options: String = captions.iter().enumerate().map(option).collect();
             page.push_str(&format!(
                 "<section id=\"wipe\" hidden>\n<h2>Swipe comparison</h2>\n<p><label>Left <select id=\"left\">{options}</select></label> \
@@ -69,7 +92,10 @@ impl Report {
         }
         page.push_str("</div>\n");
         if !self.scene_toml.trim().is_empty() {
-            page.push_str(&format!("<details><summary>The scene</summary><pre>{}</pre></details>\n", escaped(&self.scene_toml)));
+            page.push_str(&format!(
+                "<details><summary>The scene</summary><pre>{}</pre></details>\n",
+                escaped(&self.scene_toml)
+            ));
         }
         page.push_str(&format!("<script>{SCRIPT}</script>\n</html>\n"));
         page
@@ -78,7 +104,11 @@ impl Report {
     /// Plots of all runs of one view.
     fn plots(&self, shown: &ViewKey, views: &[ViewKey], equal: &[EqualError]) -> String {
         let curves = curves::curves(&self.runs, shown);
-        let runs: Vec<&Run> = self.runs.iter().filter(|run| run.shown == *shown && !run.is_reference).collect();
+        let runs: Vec<&Run> = self
+            .runs
+            .iter()
+            .filter(|run| run.shown == *shown && !run.is_reference)
+            .collect();
         if runs.len() < 2 {
             return String::new();
         }
@@ -86,7 +116,11 @@ impl Report {
         steps.sort_by(f64::total_cmp);
         steps.dedup();
         let several = steps.len() > 1;
-        let heading = if views.len() > 1 { format!("Plots: {shown}") } else { "Plots".to_owned() };
+        let heading = if views.len() > 1 {
+            format!("Plots: {shown}")
+        } else {
+            "Plots".to_owned()
+        };
         let mut text = format!("<h2>{}</h2>\n<div class=\"plots\">\n", escaped(&heading));
         let series = |dot: &dyn Fn(&CurvePoint) -> Dot| -> Vec<PlotSeries> {
             let one = |c: &Curve| PlotSeries {
@@ -97,30 +131,69 @@ impl Report {
             };
             curves.iter().map(one).collect()
         };
-        let time = PlotAxis { label: "rendering, ms".to_owned(), ticks: Vec::new() };
-        let error = PlotAxis { label: "RMS error (0–255)".to_owned(), ticks: Vec::new() };
+        let time = PlotAxis {
+            label: "rendering, ms".to_owned(),
+            ticks: Vec::new(),
+        };
+        let error = PlotAxis {
+            label: "RMS error (0–255)".to_owned(),
+            ticks: Vec::new(),
+        };
         let has_errors = runs.iter().any(|run| run.error.is_some());
         if several {
-            let step = PlotAxis { label: "step, voxels".to_owned(), ticks: if steps.len() <= 8 { steps } else { Vec::new() } };
-            let by_step = series(&|p| Dot { x: p.step, y: p.milliseconds, spread: Some(p.spread) });
+            let step = PlotAxis {
+                label: "step, voxels".to_owned(),
+                ticks: if steps.len() <= 8 { steps } else { Vec::new() },
+            };
+            let by_step = series(&|p| Dot {
+                x: p.step,
+                y: p.milliseconds,
+                spread: Some(p.spread),
+            });
             text.push_str(&plot::curves("Time by step", &step, &time, &by_step, None));
             if has_errors {
                 let or_nan = |error: f64| if error >= MIN_ERROR { error } else { f64::NAN };
-                let errors = series(&|p| Dot { x: p.step, y: or_nan(p.error), spread: None });
+                let errors = series(&|p| Dot {
+                    x: p.step,
+                    y: or_nan(p.error),
+                    spread: None,
+                });
                 text.push_str(&plot::curves("Error by step", &step, &error, &errors, None));
                 let common = equal.iter().find(|e| e.shown == *shown).map(|e| e.error);
-                let both = series(&|p| Dot { x: or_nan(p.error), y: p.milliseconds, spread: None });
-                text.push_str(&plot::curves("Time against error (lower left is better; dotted: the common error)", &error, &time, &both, common));
+                let both = series(&|p| Dot {
+                    x: or_nan(p.error),
+                    y: p.milliseconds,
+                    spread: None,
+                });
+                text.push_str(&plot::curves(
+                    "Time against error (lower left is better; dotted: the common error)",
+                    &error,
+                    &time,
+                    &both,
+                    common,
+                ));
             }
         }
         let names = self.stage_names();
         let index = |name: &str| names.iter().position(|n| *n == name).unwrap_or(0);
         let plain_name = |run: &Run| {
-            let step = if several { format!(" step {}", run.step) } else { String::new() };
+            let step = if several {
+                format!(" step {}", run.step)
+            } else {
+                String::new()
+            };
             format!("{} {}{step}", mode_name(run.mode), run.backend)
         };
-        let bar = |run: &&Run| Bar { name: plain_name(run), parts: run.stages.iter().map(|(name, ms)| (index(name), *ms)).collect() };
-        text.push_str(&plot::bars("Time by stage", "ms", &names, &runs.iter().map(bar).collect::<Vec<_>>()));
+        let bar = |run: &&Run| Bar {
+            name: plain_name(run),
+            parts: run.stages.iter().map(|(name, ms)| (index(name), *ms)).collect(),
+        };
+        text.push_str(&plot::bars(
+            "Time by stage",
+            "ms",
+            &names,
+            &runs.iter().map(bar).collect::<Vec<_>>(),
+        ));
         text.push_str("</div>\n");
         text
     }
@@ -128,7 +201,12 @@ impl Report {
     /// The cost of renderers at equal error, or why it cannot be given.
     fn equal_table(&self, equal: &[EqualError], views: &[ViewKey]) -> String {
         let mut text = String::from("<h2>Speed at equal error</h2>\n");
-        let steps: std::collections::BTreeSet<u32> = self.runs.iter().filter(|run| !run.is_reference).map(|run| run.step.to_bits()).collect();
+        let steps: std::collections::BTreeSet<u32> = self
+            .runs
+            .iter()
+            .filter(|run| !run.is_reference)
+            .map(|run| run.step.to_bits())
+            .collect();
         if self.runs.iter().all(|run| run.error.is_none()) {
             return text + "<p>Not available: there is no reference to measure errors against.</p>\n";
         }
@@ -153,10 +231,18 @@ impl Report {
             for entry in &e.entries {
                 let cells = match (entry.at, entry.coarsest) {
                     (Some(p), _) => format!("<td>{}</td><td>{}</td>", number(p.milliseconds), number(p.step)),
-                    (None, Some(p)) => format!("<td>less than {}</td><td>more than {}</td>", number(p.milliseconds), number(p.step)),
+                    (None, Some(p)) => format!(
+                        "<td>less than {}</td><td>more than {}</td>",
+                        number(p.milliseconds),
+                        number(p.step)
+                    ),
                     (None, None) => "<td>–</td><td>–</td>".to_owned(),
                 };
-                text.push_str(&format!("<tr><th>{} {}</th>{cells}</tr>\n", mode_name(entry.mode), escaped(&entry.backend)));
+                text.push_str(&format!(
+                    "<tr><th>{} {}</th>{cells}</tr>\n",
+                    mode_name(entry.mode),
+                    escaped(&entry.backend)
+                ));
             }
             text.push_str("</table></div>\n");
         }
@@ -179,10 +265,20 @@ impl Report {
         let cell = |text: Option<String>| format!("<td>{}</td>", text.unwrap_or_else(|| "–".to_owned()));
         let megabytes = |bytes: u64| format!("{:.1}", bytes as f64 / 1e6);
         for run in &self.runs {
-            table.push_str(&format!("<tr><th>{}</th><td class=\"text\">{}</td>", escaped(&run.name), escaped(&run.backend)));
+            table.push_str(&format!(
+                "<tr><th>{}</th><td class=\"text\">{}</td>",
+                escaped(&run.name),
+                escaped(&run.backend)
+            ));
             table.push_str(&cell(Some(run.step.to_string())));
             table.push_str(&cell(Some(number(run.milliseconds.median))));
-            table.push_str(&cell((run.repetitions > 1).then(|| format!("{} – {}", number(run.milliseconds.min), number(run.milliseconds.max)))));
+            table.push_str(&cell((run.repetitions > 1).then(|| {
+                format!(
+                    "{} – {}",
+                    number(run.milliseconds.min),
+                    number(run.milliseconds.max)
+                )
+            })));
             table.push_str(&cell(Some(number(run.rendering.median))));
             let error = run.error;
             table.push_str(&cell(error.map(|d| format!("{:.3}", d.mean))));
@@ -193,7 +289,11 @@ impl Report {
                 table.push_str(&cell(count.map(grouped)));
             }
             let memory = run.memory;
-            for bytes in [memory.volume_bytes, memory.gradient_bytes, memory.map_bytes + memory.surface_bytes] {
+            for bytes in [
+                memory.volume_bytes,
+                memory.gradient_bytes,
+                memory.map_bytes + memory.surface_bytes,
+            ] {
                 table.push_str(&cell(Some(megabytes(bytes))));
             }
             table.push_str(&cell(run.memory.peak_bytes.map(megabytes)));
@@ -248,7 +348,11 @@ fn protocol_text(protocol: &Protocol) -> String {
     if let Some(gpu) = &protocol.gpu {
         text.push_str(&format!("GPU: {}. ", escaped(gpu)));
     }
-    let times = if protocol.repeat == 1 { "Timed once".to_owned() } else { format!("Times are the median of {} runs", protocol.repeat) };
+    let times = if protocol.repeat == 1 {
+        "Timed once".to_owned()
+    } else {
+        format!("Times are the median of {} runs", protocol.repeat)
+    };
     text.push_str(&times);
     if protocol.gpu.is_some() {
         text.push_str(
@@ -258,8 +362,12 @@ fn protocol_text(protocol: &Protocol) -> String {
     text.push_str(". ");
     let first: f64 = protocol.first_preparation.iter().map(|s| s.1).sum();
     if first > 0.0 {
-        let stages: Vec<String> =
-            protocol.first_preparation.iter().filter(|s| s.1 >= 0.05).map(|(name, ms)| format!("{} {}", escaped(name), number(*ms))).collect();
+        let stages: Vec<String> = protocol
+            .first_preparation
+            .iter()
+            .filter(|s| s.1 >= 0.05)
+            .map(|(name, ms)| format!("{} {}", escaped(name), number(*ms)))
+            .collect();
         text.push_str(&format!(
             "Preparing the scene for the first time took {} ms on the CPU ({}); later runs reuse the cached parts. ",
             number(first),
@@ -278,7 +386,11 @@ fn protocol_text(protocol: &Protocol) -> String {
          2000: same optical model, same view, same transfer function.</p>\n",
     );
     if !protocol.notices.is_empty() {
-        let items: String = protocol.notices.iter().map(|n| format!("<li>{}</li>", escaped(n))).collect();
+        let items: String = protocol
+            .notices
+            .iter()
+            .map(|n| format!("<li>{}</li>", escaped(n)))
+            .collect();
         text.push_str(&format!("<ul class=\"note\">{items}</ul>\n"));
     }
     text
@@ -296,7 +408,11 @@ fn color_of(mode: Mode, cpu: bool) -> usize {
 }
 
 fn decibels(psnr_db: f64) -> String {
-    if psnr_db.is_finite() { format!("{psnr_db:.2}") } else { "∞".to_owned() }
+    if psnr_db.is_finite() {
+        format!("{psnr_db:.2}")
+    } else {
+        "∞".to_owned()
+    }
 }
 
 /// A count in groups of three digits, separated by non-breaking spaces.
@@ -387,6 +503,9 @@ mod tests {
 
     #[test]
     fn counts_are_grouped() {
-        assert_eq!([7, 1_000, 1_234_567].map(grouped), ["7", "1\u{a0}000", "1\u{a0}234\u{a0}567"]);
+        assert_eq!(
+            [7, 1_000, 1_234_567].map(grouped),
+            ["7", "1\u{a0}000", "1\u{a0}234\u{a0}567"]
+        );
     }
 }

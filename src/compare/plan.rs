@@ -43,8 +43,14 @@ pub struct Plan {
 /// The modes that apply to a scene.
 pub fn modes_of(scene: &Scene) -> Vec<Mode> {
     let volume = scene.volume.is_some().then_some([Mode::Slice, Mode::Raycast]);
-    let has_surface = scene.mesh.iter().any(|m| !m.hidden) || scene.surface.iso.is_some() || scene.render.mode == Mode::Surface;
-    volume.into_iter().flatten().chain(has_surface.then_some(Mode::Surface)).collect()
+    let has_surface = scene.mesh.iter().any(|m| !m.hidden)
+        || scene.surface.iso.is_some()
+        || scene.render.mode == Mode::Surface;
+    volume
+        .into_iter()
+        .flatten()
+        .chain(has_surface.then_some(Mode::Surface))
+        .collect()
 }
 
 impl Plan {
@@ -80,15 +86,28 @@ impl Plan {
     /// pictures than fit into memory.
     pub fn check(&self, backends: usize) -> Result<()> {
         self.check_lists(backends)?;
-        if let Some(mode) = self.modes.iter().find(|m| **m != Mode::Surface && self.scene.volume.is_none()) {
-            return Err(Error::value(format!("--modes {}", mode_name(*mode)), "shows a volume, and the scene has none; use --modes surface"));
+        if let Some(mode) = self
+            .modes
+            .iter()
+            .find(|m| **m != Mode::Surface && self.scene.volume.is_none())
+        {
+            return Err(Error::value(
+                format!("--modes {}", mode_name(*mode)),
+                "shows a volume, and the scene has none; use --modes surface",
+            ));
         }
         if let Some(step) = self.steps.iter().find(|s| !STEPS.contains(*s)) {
-            return Err(Error::value("--steps", format!("{step} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
+            return Err(Error::value(
+                "--steps",
+                format!("{step} is outside {} to {} voxels", STEPS.start(), STEPS.end()),
+            ));
         }
         self.check_sizes()?;
         if !(1..=MAX_REPETITIONS).contains(&self.repeat) {
-            return Err(Error::value("--repeat", format!("{} is outside 1 to {MAX_REPETITIONS}", self.repeat)));
+            return Err(Error::value(
+                "--repeat",
+                format!("{} is outside 1 to {MAX_REPETITIONS}", self.repeat),
+            ));
         }
         if let Some(reference) = self.reference {
             self.check_reference(reference)?;
@@ -98,18 +117,35 @@ impl Plan {
 
     /// Checks that the plan has at least one mode, step, size, camera and backend.
     fn check_lists(&self, backends: usize) -> Result<()> {
-        let empty = [("--modes", self.modes.is_empty()), ("--steps", self.steps.is_empty()), ("--sizes", self.sizes.is_empty())];
-        let empty = empty.into_iter().chain([("--cameras", self.cameras.is_empty()), ("--backend", backends == 0)]);
+        let empty = [
+            ("--modes", self.modes.is_empty()),
+            ("--steps", self.steps.is_empty()),
+            ("--sizes", self.sizes.is_empty()),
+        ];
+        let empty = empty.into_iter().chain([
+            ("--cameras", self.cameras.is_empty()),
+            ("--backend", backends == 0),
+        ]);
         if let Some((option, _)) = empty.into_iter().find(|e| e.1) {
-            return Err(Error::value(option, "leaves nothing to compare; name at least one"));
+            return Err(Error::value(
+                option,
+                "leaves nothing to compare; name at least one",
+            ));
         }
         Ok(())
     }
 
     /// Checks that each size, with its samples per pixel, can be rendered.
     fn check_sizes(&self) -> Result<()> {
-        if let Some([w, h]) = self.sizes.iter().find(|s| s.iter().any(|n| !(1..=MAX_PICTURE_EDGE).contains(n))) {
-            return Err(Error::value("--sizes", format!("{w}x{h} is out of range; each edge must be 1 to {MAX_PICTURE_EDGE} pixels")));
+        if let Some([w, h]) = self
+            .sizes
+            .iter()
+            .find(|s| s.iter().any(|n| !(1..=MAX_PICTURE_EDGE).contains(n)))
+        {
+            return Err(Error::value(
+                "--sizes",
+                format!("{w}x{h} is out of range; each edge must be 1 to {MAX_PICTURE_EDGE} pixels"),
+            ));
         }
         let antialias = self.scene.render.antialias.clamp(1, 4);
         let too_large = |[w, h]: &&[u32; 2]| {
@@ -117,11 +153,16 @@ impl Plan {
             w.max(h) > MAX_PICTURE_EDGE || u64::from(w) * u64::from(h) > MAX_PIXELS
         };
         if let Some([w, h]) = self.sizes.iter().find(too_large) {
-            let sampled =
-                if antialias > 1 { format!(", and {antialias} by {antialias} samples a pixel (--antialias) count as pixels") } else { String::new() };
+            let sampled = if antialias > 1 {
+                format!(", and {antialias} by {antialias} samples a pixel (--antialias) count as pixels")
+            } else {
+                String::new()
+            };
             return Err(Error::value(
                 "--sizes",
-                format!("{w}x{h} cannot be made; an edge is at most {MAX_PICTURE_EDGE} pixels, a picture {MAX_PIXELS}{sampled}"),
+                format!(
+                    "{w}x{h} cannot be made; an edge is at most {MAX_PICTURE_EDGE} pixels, a picture {MAX_PIXELS}{sampled}"
+                ),
             ));
         }
         Ok(())
@@ -131,7 +172,14 @@ impl Plan {
     fn check_reference(&self, reference: f32) -> Result<()> {
         let finest = self.steps.iter().copied().fold(f32::INFINITY, f32::min);
         if !STEPS.contains(&reference) {
-            return Err(Error::value("--reference", format!("{reference} is outside {} to {} voxels", STEPS.start(), STEPS.end())));
+            return Err(Error::value(
+                "--reference",
+                format!(
+                    "{reference} is outside {} to {} voxels",
+                    STEPS.start(),
+                    STEPS.end()
+                ),
+            ));
         }
         if reference > 0.5 * finest {
             return Err(Error::value(
@@ -148,8 +196,15 @@ impl Plan {
     /// Checks that all pictures together fit into memory.
     fn check_total_pixels(&self, backends: usize) -> Result<()> {
         let kinds = BTreeSet::from_iter(self.modes.iter().map(|m| *m == Mode::Surface)).len();
-        let pictures = (self.modes.len() * self.steps.len() * backends + if self.reference.is_some() { kinds } else { 0 }) * self.cameras.len();
-        let pixels = self.sizes.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).sum::<u64>().saturating_mul(pictures as u64);
+        let pictures = (self.modes.len() * self.steps.len() * backends
+            + if self.reference.is_some() { kinds } else { 0 })
+            * self.cameras.len();
+        let pixels = self
+            .sizes
+            .iter()
+            .map(|[w, h]| u64::from(*w) * u64::from(*h))
+            .sum::<u64>()
+            .saturating_mul(pictures as u64);
         if pixels > MAX_TOTAL_PIXELS {
             return Err(Error::value(
                 "--sizes",
@@ -164,7 +219,10 @@ impl Plan {
 
     /// One scene of the sweep.
     pub(super) fn at(&self, mode: Mode, step: f32, size: [u32; 2], camera: &Camera) -> Scene {
-        let mut scene = Scene { camera: camera.clone(), ..self.scene.clone() };
+        let mut scene = Scene {
+            camera: camera.clone(),
+            ..self.scene.clone()
+        };
         (scene.render.mode, scene.render.step, scene.render.size) = (mode, step, size);
         scene
     }
@@ -192,21 +250,78 @@ mod tests {
 
     #[test]
     fn plans_that_cannot_be_are_named() {
-        let good = || Plan { steps: vec![0.5, 1.0], ..Plan::of(Scene::of_volume("phantom:ball:size=12")) };
+        let good = || Plan {
+            steps: vec![0.5, 1.0],
+            ..Plan::of(Scene::of_volume("phantom:ball:size=12"))
+        };
         assert!(good().check(1).is_ok() && good().check(2).is_ok());
         assert_eq!(good().modes, [Mode::Slice, Mode::Raycast]);
         assert_eq!(Plan::of(Scene::of_mesh("a.stl")).modes, [Mode::Surface]);
         let cases: [(&str, Plan); 10] = [
-            ("--modes", Plan { modes: Vec::new(), ..good() }),
-            ("--modes slice", Plan { modes: vec![Mode::Slice], ..Plan::of(Scene::of_mesh("a.stl")) }),
-            ("--steps", Plan { steps: vec![f32::NAN], ..good() }),
-            ("--steps", Plan { steps: vec![0.001], ..good() }),
-            ("--sizes", Plan { sizes: vec![[0, 5]], ..good() }),
-            ("--sizes", Plan { sizes: vec![[9000, 9000]], ..good() }),
-            ("--cameras", Plan { cameras: Vec::new(), ..good() }),
+            (
+                "--modes",
+                Plan {
+                    modes: Vec::new(),
+                    ..good()
+                },
+            ),
+            (
+                "--modes slice",
+                Plan {
+                    modes: vec![Mode::Slice],
+                    ..Plan::of(Scene::of_mesh("a.stl"))
+                },
+            ),
+            (
+                "--steps",
+                Plan {
+                    steps: vec![f32::NAN],
+                    ..good()
+                },
+            ),
+            (
+                "--steps",
+                Plan {
+                    steps: vec![0.001],
+                    ..good()
+                },
+            ),
+            (
+                "--sizes",
+                Plan {
+                    sizes: vec![[0, 5]],
+                    ..good()
+                },
+            ),
+            (
+                "--sizes",
+                Plan {
+                    sizes: vec![[9000, 9000]],
+                    ..good()
+                },
+            ),
+            (
+                "--cameras",
+                Plan {
+                    cameras: Vec::new(),
+                    ..good()
+                },
+            ),
             ("--repeat", Plan { repeat: 0, ..good() }),
-            ("--reference", Plan { reference: Some(0.4), ..good() }),
-            ("--reference", Plan { reference: Some(f32::NAN), ..good() }),
+            (
+                "--reference",
+                Plan {
+                    reference: Some(0.4),
+                    ..good()
+                },
+            ),
+            (
+                "--reference",
+                Plan {
+                    reference: Some(f32::NAN),
+                    ..good()
+                },
+            ),
         ];
         for (option, plan) in cases {
             let message = plan.check(1).unwrap_err().to_string();
@@ -214,9 +329,15 @@ mod tests {
         }
         assert!(good().check(0).is_err());
         // Names state only the settings that vary.
-        let plan = Plan { sizes: vec![[8, 6], [16, 12]], ..good() };
+        let plan = Plan {
+            sizes: vec![[8, 6], [16, 12]],
+            ..good()
+        };
         let scene = plan.at(Mode::Slice, 0.5, [8, 6], &plan.cameras[0]);
         assert_eq!(plan.name("slice cpu", &scene, true), "slice cpu step 0.5 8x6");
-        assert_eq!(Plan::of(scene.clone()).name("slice cpu", &scene, true), "slice cpu");
+        assert_eq!(
+            Plan::of(scene.clone()).name("slice cpu", &scene, true),
+            "slice cpu"
+        );
     }
 }

@@ -92,8 +92,13 @@ impl PlotSpans {
     /// Ranges that contain every dot and spread that can be shown, and the mark.
     fn around(series: &[PlotSeries], mark: Option<f64>) -> Self {
         let dots = || series.iter().flat_map(|s| &s.dots).filter(|d| d.is_shown());
-        let ends = dots().flat_map(|d| d.spread.unwrap_or([d.y; 2])).filter(|v| is_shown(*v));
-        Self { across: Span::around(dots().map(|d| d.x).chain(mark)), upwards: Span::around(dots().map(|d| d.y).chain(ends)) }
+        let ends = dots()
+            .flat_map(|d| d.spread.unwrap_or([d.y; 2]))
+            .filter(|v| is_shown(*v));
+        Self {
+            across: Span::around(dots().map(|d| d.x).chain(mark)),
+            upwards: Span::around(dots().map(|d| d.y).chain(ends)),
+        }
     }
 
     /// The position of a value on the horizontal axis, in units of the plot.
@@ -114,14 +119,29 @@ pub fn curves(title: &str, x: &PlotAxis, y: &PlotAxis, series: &[PlotSeries], ma
     let mut svg = opening(title, HEIGHT);
     write_axes(&mut svg, &spans, x, y);
     if let Some(m) = mark {
-        let _ = write!(svg, "<path class=\"mark\" d=\"M{:.1} {TOP}V{FRAME_BOTTOM}\"/>", spans.x(m));
+        let _ = write!(
+            svg,
+            "<path class=\"mark\" d=\"M{:.1} {TOP}V{FRAME_BOTTOM}\"/>",
+            spans.x(m)
+        );
     }
     for (n, s) in series.iter().enumerate() {
         let _ = write!(svg, "<g class=\"c{}\">", s.color % COLORS);
         write_curve(&mut svg, &spans, x, y, s);
         let (lx, ly) = (FRAME_RIGHT + 14.0, TOP + 8.0 + 18.0 * n as f64);
-        let _ = write!(svg, "<path class=\"curve\"{} d=\"M{lx} {ly}h26\"/>{}", dash(s.dashed), dot(lx + 13.0, ly, s.dashed, ""));
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text></g>", lx + 32.0, ly + 4.0, escaped(&s.name));
+        let _ = write!(
+            svg,
+            "<path class=\"curve\"{} d=\"M{lx} {ly}h26\"/>{}",
+            dash(s.dashed),
+            dot(lx + 13.0, ly, s.dashed, "")
+        );
+        let _ = write!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{:.1}\">{}</text></g>",
+            lx + 32.0,
+            ly + 4.0,
+            escaped(&s.name)
+        );
     }
     svg.push_str("</svg>\n");
     svg
@@ -132,25 +152,62 @@ fn write_axes(svg: &mut String, spans: &PlotSpans, x: &PlotAxis, y: &PlotAxis) {
     for value in ticks_of(x, &spans.across) {
         let px = spans.x(value);
         let _ = write!(svg, "<path class=\"grid\" d=\"M{px:.1} {TOP}V{FRAME_BOTTOM}\"/>");
-        let _ = write!(svg, "<text x=\"{px:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>", FRAME_BOTTOM + 16.0, tick_label(value));
+        let _ = write!(
+            svg,
+            "<text x=\"{px:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+            FRAME_BOTTOM + 16.0,
+            tick_label(value)
+        );
     }
     for value in ticks_of(y, &spans.upwards) {
         let py = spans.y(value);
         let _ = write!(svg, "<path class=\"grid\" d=\"M{LEFT} {py:.1}H{FRAME_RIGHT}\"/>");
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", LEFT - 7.0, py + 4.0, tick_label(value));
+        let _ = write!(
+            svg,
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+            LEFT - 7.0,
+            py + 4.0,
+            tick_label(value)
+        );
     }
-    let _ = write!(svg, "<path class=\"frame\" d=\"M{LEFT} {TOP}V{FRAME_BOTTOM}H{FRAME_RIGHT}\"/>");
+    let _ = write!(
+        svg,
+        "<path class=\"frame\" d=\"M{LEFT} {TOP}V{FRAME_BOTTOM}H{FRAME_RIGHT}\"/>"
+    );
     let middle = [0.5 * (LEFT + FRAME_RIGHT), 0.5 * (TOP + FRAME_BOTTOM)];
-    let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>", middle[0], HEIGHT - 10.0, escaped(&x.label));
-    let _ = write!(svg, "<text transform=\"translate(15 {:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>", middle[1], escaped(&y.label));
+    let _ = write!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+        middle[0],
+        HEIGHT - 10.0,
+        escaped(&x.label)
+    );
+    let _ = write!(
+        svg,
+        "<text transform=\"translate(15 {:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+        middle[1],
+        escaped(&y.label)
+    );
 }
 
 /// Writes the line of a series, and its dots with their spreads and tooltips.
 fn write_curve(svg: &mut String, spans: &PlotSpans, x: &PlotAxis, y: &PlotAxis, s: &PlotSeries) {
     // A dot that cannot be shown interrupts the line.
-    for stretch in s.dots.split(|d| !d.is_shown()).filter(|stretch| stretch.len() > 1) {
-        let path: Vec<String> = stretch.iter().map(|d| format!("{:.1} {:.1}", spans.x(d.x), spans.y(d.y))).collect();
-        let _ = write!(svg, "<path class=\"curve\"{} d=\"M{}\"/>", dash(s.dashed), path.join("L"));
+    for stretch in s
+        .dots
+        .split(|d| !d.is_shown())
+        .filter(|stretch| stretch.len() > 1)
+    {
+        let path: Vec<String> = stretch
+            .iter()
+            .map(|d| format!("{:.1} {:.1}", spans.x(d.x), spans.y(d.y)))
+            .collect();
+        let _ = write!(
+            svg,
+            "<path class=\"curve\"{} d=\"M{}\"/>",
+            dash(s.dashed),
+            path.join("L")
+        );
     }
     for d in s.dots.iter().filter(|d| d.is_shown()) {
         let [px, py] = [spans.x(d.x), spans.y(d.y)];
@@ -158,7 +215,14 @@ fn write_curve(svg: &mut String, spans: &PlotSpans, x: &PlotAxis, y: &PlotAxis, 
             let [low, high] = spread.map(|y| spans.y(y));
             let _ = write!(svg, "<path class=\"spread\" d=\"M{px:.1} {low:.1}V{high:.1}\"/>");
         }
-        let tooltip = format!("{}: {} {}, {} {}", s.name, number(d.x), x.label, number(d.y), y.label);
+        let tooltip = format!(
+            "{}: {} {}, {} {}",
+            s.name,
+            number(d.x),
+            x.label,
+            number(d.y),
+            y.label
+        );
         svg.push_str(&dot(px, py, s.dashed, &tooltip));
     }
 }
@@ -168,7 +232,11 @@ fn ticks_of(axis: &PlotAxis, span: &Span) -> Vec<f64> {
     if axis.ticks.is_empty() {
         return ticks(span.low, span.high);
     }
-    axis.ticks.iter().copied().filter(|v| *v >= span.low && *v <= span.high).collect()
+    axis.ticks
+        .iter()
+        .copied()
+        .filter(|v| *v >= span.low && *v <= span.high)
+        .collect()
 }
 
 #[cfg(test)]
@@ -177,35 +245,125 @@ mod tests {
 
     #[test]
     fn a_power_is_a_straight_line() {
-        let dots: Vec<Dot> = [1.0, 10.0, 100.0].map(|x| Dot { x, y: 5.0 * x * x, spread: None }).into();
-        let series = PlotSeries { name: "a < b".into(), color: 3, dashed: false, dots };
-        let svg = curves("t", &PlotAxis::default(), &PlotAxis::default(), std::slice::from_ref(&series), Some(10.0));
-        let path = svg.split("class=\"curve\" d=\"M").nth(1).and_then(|p| p.split('"').next()).unwrap_or_default().to_owned();
-        let at: Vec<Vec<f64>> = path.split('L').map(|p| p.split(' ').filter_map(|v| v.parse().ok()).collect()).collect();
-        assert!(at.len() == 3 && (at[2][0] - 2.0 * at[1][0] + at[0][0]).abs() < 0.3 && (at[2][1] - 2.0 * at[1][1] + at[0][1]).abs() < 0.3, "{at:?}");
+        let dots: Vec<Dot> = [1.0, 10.0, 100.0]
+            .map(|x| Dot {
+                x,
+                y: 5.0 * x * x,
+                spread: None,
+            })
+            .into();
+        let series = PlotSeries {
+            name: "a < b".into(),
+            color: 3,
+            dashed: false,
+            dots,
+        };
+        let svg = curves(
+            "t",
+            &PlotAxis::default(),
+            &PlotAxis::default(),
+            std::slice::from_ref(&series),
+            Some(10.0),
+        );
+        let path = svg
+            .split("class=\"curve\" d=\"M")
+            .nth(1)
+            .and_then(|p| p.split('"').next())
+            .unwrap_or_default()
+            .to_owned();
+        let at: Vec<Vec<f64>> = path
+            .split('L')
+            .map(|p| p.split(' ').filter_map(|v| v.parse().ok()).collect())
+            .collect();
+        assert!(
+            at.len() == 3
+                && (at[2][0] - 2.0 * at[1][0] + at[0][0]).abs() < 0.3
+                && (at[2][1] - 2.0 * at[1][1] + at[0][1]).abs() < 0.3,
+            "{at:?}"
+        );
         assert!(at[0][1] > at[2][1], "upwards is more");
-        assert!(svg.contains("a &lt; b") && !svg.contains("a < b") && svg.contains("class=\"mark\"") && svg.contains("class=\"c3\""));
+        assert!(
+            svg.contains("a &lt; b")
+                && !svg.contains("a < b")
+                && svg.contains("class=\"mark\"")
+                && svg.contains("class=\"c3\"")
+        );
         assert_eq!(svg.matches("<svg").count(), svg.matches("</svg>").count());
     }
 
     #[test]
     fn what_cannot_be_shown_is_left_out() {
-        let dot = |x: f64, y: f64| Dot { x, y, spread: Some([0.0, f64::NAN]) };
-        let dots = vec![dot(1.0, 0.0), dot(f64::NAN, 1.0), dot(2.0, f64::INFINITY), dot(-1.0, 3.0), dot(1.0, 4.0)];
-        let series = [PlotSeries { name: String::new(), color: 99, dashed: true, dots }];
-        let svg = curves("", &PlotAxis::default(), &PlotAxis::default(), &series, Some(f64::NAN));
-        assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.matches("class=\"dot\"").count() == 2, "{svg}");
+        let dot = |x: f64, y: f64| Dot {
+            x,
+            y,
+            spread: Some([0.0, f64::NAN]),
+        };
+        let dots = vec![
+            dot(1.0, 0.0),
+            dot(f64::NAN, 1.0),
+            dot(2.0, f64::INFINITY),
+            dot(-1.0, 3.0),
+            dot(1.0, 4.0),
+        ];
+        let series = [PlotSeries {
+            name: String::new(),
+            color: 99,
+            dashed: true,
+            dots,
+        }];
+        let svg = curves(
+            "",
+            &PlotAxis::default(),
+            &PlotAxis::default(),
+            &series,
+            Some(f64::NAN),
+        );
+        assert!(
+            !svg.contains("NaN") && !svg.contains("inf") && svg.matches("class=\"dot\"").count() == 2,
+            "{svg}"
+        );
         let none = curves("", &PlotAxis::default(), &PlotAxis::default(), &[], None);
         assert!(!none.contains("NaN") && !none.contains("inf"));
-        let svg = bars("", "ms", &["a"], &[Bar { name: "x".into(), parts: vec![(0, f64::NAN), (0, -1.0)] }]);
+        let svg = bars(
+            "",
+            "ms",
+            &["a"],
+            &[Bar {
+                name: "x".into(),
+                parts: vec![(0, f64::NAN), (0, -1.0)],
+            }],
+        );
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
     }
 
     #[test]
     fn a_gap_breaks_the_line() {
-        let dots: Vec<Dot> = [1.0, 2.0, f64::NAN, 4.0, 5.0, 6.0].map(|y| Dot { x: y.max(3.0), y, spread: None }).into();
-        let svg = curves("", &PlotAxis::default(), &PlotAxis::default(), &[PlotSeries { name: String::new(), color: 0, dashed: false, dots }], None);
+        let dots: Vec<Dot> = [1.0, 2.0, f64::NAN, 4.0, 5.0, 6.0]
+            .map(|y| Dot {
+                x: y.max(3.0),
+                y,
+                spread: None,
+            })
+            .into();
+        let svg = curves(
+            "",
+            &PlotAxis::default(),
+            &PlotAxis::default(),
+            &[PlotSeries {
+                name: String::new(),
+                color: 0,
+                dashed: false,
+                dots,
+            }],
+            None,
+        );
         // Two line segments, and the sample in the legend.
-        assert_eq!((svg.matches("class=\"curve\"").count(), svg.matches("class=\"dot\"").count()), (2 + 1, 5 + 1));
+        assert_eq!(
+            (
+                svg.matches("class=\"curve\"").count(),
+                svg.matches("class=\"dot\"").count()
+            ),
+            (2 + 1, 5 + 1)
+        );
     }
 }

@@ -72,8 +72,15 @@ impl Report {
     /// # Errors
     /// No runs, two runs of one name, pictures of different sizes or with values that are not
     /// finite.
-    pub fn new(title: impl Into<String>, scene_toml: impl Into<String>, background: [f32; 4], runs: Vec<Run>) -> Result<Self> {
-        let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b])).collect();
+    pub fn new(
+        title: impl Into<String>,
+        scene_toml: impl Into<String>,
+        background: [f32; 4],
+        runs: Vec<Run>,
+    ) -> Result<Self> {
+        let all = (0..runs.len())
+            .flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b]))
+            .collect();
         Self::of_pairs(title, scene_toml, background, runs, all)
     }
 
@@ -89,18 +96,39 @@ impl Report {
         pairs: Vec<[usize; 2]>,
     ) -> Result<Self> {
         if runs.is_empty() {
-            return Err(Error::value("runs", "there are none; a comparison needs at least one picture"));
+            return Err(Error::value(
+                "runs",
+                "there are none; a comparison needs at least one picture",
+            ));
         }
         let mut names = HashSet::new();
         if let Some(twice) = runs.iter().find(|run| !names.insert(&run.name)) {
-            return Err(Error::value("runs", format!("two are called \"{}\"; give each a name of its own", twice.name)));
+            return Err(Error::value(
+                "runs",
+                format!("two are called \"{}\"; give each a name of its own", twice.name),
+            ));
         }
         let compared = |[a, b]: [usize; 2]| match (runs.get(a), runs.get(b)) {
-            (Some(first), Some(second)) => Ok(RunPair { a, b, difference: difference(&first.picture, &second.picture)? }),
-            _ => Err(Error::value("pairs", format!("runs {a} and {b} do not both exist; there are {}", runs.len()))),
+            (Some(first), Some(second)) => Ok(RunPair {
+                a,
+                b,
+                difference: difference(&first.picture, &second.picture)?,
+            }),
+            _ => Err(Error::value(
+                "pairs",
+                format!("runs {a} and {b} do not both exist; there are {}", runs.len()),
+            )),
         };
         let pairs = pairs.into_iter().map(compared).collect::<Result<_>>()?;
-        Ok(Self { title: title.into(), scene_toml: scene_toml.into(), runs, pairs, background, amplify: AMPLIFY, protocol: None })
+        Ok(Self {
+            title: title.into(),
+            scene_toml: scene_toml.into(),
+            runs,
+            pairs,
+            background,
+            amplify: AMPLIFY,
+            protocol: None,
+        })
     }
 
     /// The common size of all pictures; none if they differ.
@@ -113,7 +141,12 @@ impl Report {
     /// Names of all stages of all runs, in order of appearance.
     pub(super) fn stage_names(&self) -> Vec<&str> {
         let mut seen = HashSet::new();
-        self.runs.iter().flat_map(|run| &run.stages).map(|(name, _)| name.as_str()).filter(|name| seen.insert(*name)).collect()
+        self.runs
+            .iter()
+            .flat_map(|run| &run.stages)
+            .map(|(name, _)| name.as_str())
+            .filter(|name| seen.insert(*name))
+            .collect()
     }
 }
 
@@ -128,18 +161,44 @@ pub(super) mod tests {
     pub fn run(name: &str, color: [f32; 4]) -> Run {
         Run {
             name: name.to_owned(),
-            picture: Picture { width: 4, height: 3, pixels: vec![color; 12] },
-            milliseconds: Times { median: 12.5, min: 12.0, max: 14.0 },
-            rendering: Times { median: 10.0, min: 9.0, max: 11.0 },
+            picture: Picture {
+                width: 4,
+                height: 3,
+                pixels: vec![color; 12],
+            },
+            milliseconds: Times {
+                median: 12.5,
+                min: 12.0,
+                max: 14.0,
+            },
+            rendering: Times {
+                median: 10.0,
+                min: 9.0,
+                max: 11.0,
+            },
             repetitions: 3,
             warm_up: None,
-            shown: ViewKey { camera: "anterior".to_owned(), size: [4, 3], surface: false },
+            shown: ViewKey {
+                camera: "anterior".to_owned(),
+                size: [4, 3],
+                surface: false,
+            },
             mode: Mode::Slice,
-            memory: Memory { volume_bytes: 64, gradient_bytes: 0, map_bytes: 0, surface_bytes: 0, peak_bytes: None },
+            memory: Memory {
+                volume_bytes: 64,
+                gradient_bytes: 0,
+                map_bytes: 0,
+                surface_bytes: 0,
+                peak_bytes: None,
+            },
             error: None,
             is_reference: false,
             stages: vec![("maps".to_owned(), 2.0), ("render".to_owned(), 10.0)],
-            stats: Some(RenderStats { samples_taken: 1_234_567, samples_skipped: 2, samples_terminated: 3 }),
+            stats: Some(RenderStats {
+                samples_taken: 1_234_567,
+                samples_skipped: 2,
+                samples_terminated: 3,
+            }),
             backend: "cpu".to_owned(),
             step: 0.5,
             notices: Vec::new(),
@@ -151,7 +210,11 @@ pub(super) mod tests {
         assert!(Report::new("", "", [0.0; 4], Vec::new()).is_err());
         assert!(Report::new("", "", [0.0; 4], vec![run("a", [0.0; 4]), run("a", [0.0; 4])]).is_err());
         let mut larger = run("b", [0.0; 4]);
-        larger.picture = Picture { width: 4, height: 4, pixels: vec![[0.0; 4]; 16] };
+        larger.picture = Picture {
+            width: 4,
+            height: 4,
+            pixels: vec![[0.0; 4]; 16],
+        };
         assert!(Report::new("", "", [0.0; 4], vec![run("a", [0.0; 4]), larger]).is_err());
     }
 }

@@ -29,7 +29,11 @@ impl Times {
         sorted.sort_by(f64::total_cmp);
         let at = |n: usize| sorted.get(n).copied().unwrap_or(0.0);
         let last = sorted.len().saturating_sub(1);
-        Self { median: at(last / 2), min: at(0), max: at(last) }
+        Self {
+            median: at(last / 2),
+            min: at(0),
+            max: at(last),
+        }
     }
 }
 
@@ -63,7 +67,13 @@ impl Memory {
             volume_bytes: if has_volume { (volume + colors) as u64 } else { 0 },
             gradient_bytes: scene.gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
             map_bytes: scene.stack.all_maps().map(|m| m.map.stored_bytes() as u64).sum(),
-            surface_bytes: scene.surfaces.objects.iter().filter_map(|o| o.implicit.as_ref()).map(|i| i.gpu_bytes() as u64).sum(),
+            surface_bytes: scene
+                .surfaces
+                .objects
+                .iter()
+                .filter_map(|o| o.implicit.as_ref())
+                .map(|i| i.gpu_bytes() as u64)
+                .sum(),
             peak_bytes: memory::peak_bytes(),
         }
     }
@@ -71,7 +81,11 @@ impl Memory {
 
 /// Stages with owned names.
 pub(super) fn owned(stages: &[&StageTimes]) -> Vec<(String, f64)> {
-    stages.iter().flat_map(|s| &s.0).map(|&(stage, ms)| (stage.to_owned(), ms)).collect()
+    stages
+        .iter()
+        .flat_map(|s| &s.0)
+        .map(|&(stage, ms)| (stage.to_owned(), ms))
+        .collect()
 }
 
 /// The content and size of a picture: only pictures with the same key can be compared.
@@ -88,14 +102,22 @@ pub struct ViewKey {
 impl ViewKey {
     /// The key of a scene's picture.
     pub fn of(scene: &Scene) -> Self {
-        Self { camera: scene.camera.view.into(), size: scene.render.size, surface: scene.render.mode == Mode::Surface }
+        Self {
+            camera: scene.camera.view.into(),
+            size: scene.render.size,
+            surface: scene.render.mode == Mode::Surface,
+        }
     }
 }
 
 impl std::fmt::Display for ViewKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let what = if self.surface { "surfaces" } else { "volume" };
-        write!(f, "{what}, view {}, {} × {} pixels", self.camera, self.size[0], self.size[1])
+        write!(
+            f,
+            "{what}, view {}, {} × {} pixels",
+            self.camera, self.size[0], self.size[1]
+        )
     }
 }
 
@@ -141,14 +163,31 @@ pub struct Run {
 ///
 /// # Errors
 /// As [`Engine::picture`].
-pub fn run(engine: &mut Engine, scene: &Scene, assets: &Assets, name: &str, request: &RenderRequest) -> Result<Run> {
+pub fn run(
+    engine: &mut Engine,
+    scene: &Scene,
+    assets: &Assets,
+    name: &str,
+    request: &RenderRequest,
+) -> Result<Run> {
     request.watch.check()?;
     let start = Instant::now();
-    let prepared = engine.prepare(scene, assets, &Watch { progress: &|_| (), ..request.watch })?;
+    let prepared = engine.prepare(
+        scene,
+        assets,
+        &Watch {
+            progress: &|_| (),
+            ..request.watch
+        },
+    )?;
     let before = start.elapsed().as_secs_f64() * 1e3;
     let (rendered, device) = engine.render(&prepared, request)?;
     let all = start.elapsed().as_secs_f64() * 1e3;
-    let mut run = Run { name: name.to_owned(), backend: device.backend().to_owned(), ..once(scene, &prepared, rendered, [before, all]) };
+    let mut run = Run {
+        name: name.to_owned(),
+        backend: device.backend().to_owned(),
+        ..once(scene, &prepared, rendered, [before, all])
+    };
     if let Some([volume, gradients]) = engine.gpu_volume_bytes() {
         run.memory.volume_bytes = if scene.volume.is_some() { volume } else { 0 };
         run.memory.gradient_bytes = gradients;
@@ -190,12 +229,19 @@ pub(super) fn mode_name(mode: Mode) -> &'static str {
 
 /// Samples taken, skipped and terminated, if counted.
 pub(super) fn samples(run: &Run) -> [Option<u64>; 3] {
-    run.stats.map_or([None; 3], |s| [s.samples_taken, s.samples_skipped, s.samples_terminated].map(Some))
+    run.stats.map_or([None; 3], |s| {
+        [s.samples_taken, s.samples_skipped, s.samples_terminated].map(Some)
+    })
 }
 
 /// Total time of all stages of a name; none if there is no such stage.
 pub(super) fn stage_milliseconds(run: &Run, stage: &str) -> Option<f64> {
-    let mut times = run.stages.iter().filter(|(name, _)| name == stage).map(|(_, ms)| ms).peekable();
+    let mut times = run
+        .stages
+        .iter()
+        .filter(|(name, _)| name == stage)
+        .map(|(_, ms)| ms)
+        .peekable();
     times.peek()?;
     Some(times.sum())
 }
@@ -223,36 +269,87 @@ pub(super) mod tests {
             [t.median, t.min, t.max]
         };
         assert_eq!(times(&[7.0, 1.0, 3.0]), [3.0, 1.0, 7.0]);
-        assert_eq!((times(&[7.0, 3.0]), times(&[2.0]), times(&[])), ([3.0, 3.0, 7.0], [2.0; 3], [0.0; 3]));
+        assert_eq!(
+            (times(&[7.0, 3.0]), times(&[2.0]), times(&[])),
+            ([3.0, 3.0, 7.0], [2.0; 3], [0.0; 3])
+        );
     }
 
     /// Without perspective a ray meets the slices at its own sample positions.
     #[test]
     fn slices_are_rays_where_rays_are_parallel() {
         let assets = Assets::load(&scene(Mode::Slice)).unwrap();
-        let render = |mode, name| super::run(&mut Engine::cpu(), &scene(mode), &assets, name, &RenderRequest::default()).unwrap();
+        let render = |mode, name| {
+            super::run(
+                &mut Engine::cpu(),
+                &scene(mode),
+                &assets,
+                name,
+                &RenderRequest::default(),
+            )
+            .unwrap()
+        };
         let (slice, raycast) = (render(Mode::Slice, "slice"), render(Mode::Raycast, "raycast"));
-        assert!(slice.picture.pixels.iter().any(|p| p[3] > 0.1), "the scene shows nothing");
-        assert!(slice.milliseconds.median > 0.0 && slice.stages.iter().any(|s| s.0 == "render") && slice.stats.is_some());
+        assert!(
+            slice.picture.pixels.iter().any(|p| p[3] > 0.1),
+            "the scene shows nothing"
+        );
+        assert!(
+            slice.milliseconds.median > 0.0
+                && slice.stages.iter().any(|s| s.0 == "render")
+                && slice.stats.is_some()
+        );
         let report = Report::new("ball", "", [0.0, 0.0, 0.0, 1.0], vec![slice, raycast]).unwrap();
-        assert!(report.pairs.len() == 1 && report.pairs[0].difference.mean < 0.1, "{:?}", report.pairs);
+        assert!(
+            report.pairs.len() == 1 && report.pairs[0].difference.mean < 0.1,
+            "{:?}",
+            report.pairs
+        );
     }
 
     #[test]
     fn it_stops_when_told() {
         let assets = Assets::load(&scene(Mode::Slice)).unwrap();
-        let watch = Watch { progress: &|_| (), cancel: &AtomicBool::new(true) };
-        let request = RenderRequest { watch, ..RenderRequest::default() };
-        assert!(matches!(super::run(&mut Engine::cpu(), &scene(Mode::Slice), &assets, "slice", &request), Err(Error::Cancelled)));
+        let watch = Watch {
+            progress: &|_| (),
+            cancel: &AtomicBool::new(true),
+        };
+        let request = RenderRequest {
+            watch,
+            ..RenderRequest::default()
+        };
+        assert!(matches!(
+            super::run(
+                &mut Engine::cpu(),
+                &scene(Mode::Slice),
+                &assets,
+                "slice",
+                &request
+            ),
+            Err(Error::Cancelled)
+        ));
     }
 
     /// A run of one pixel.
     pub fn run(name: &str, mode: Mode, backend: &str, step: f32, error: f64, ms: f64) -> Run {
-        let d = |rms: f64| Difference { mean: 0.5 * rms, max: 9.0, psnr_db: 20.0 * (255.0 / rms).log10(), ssim: 0.9 };
+        let d = |rms: f64| Difference {
+            mean: 0.5 * rms,
+            max: 9.0,
+            psnr_db: 20.0 * (255.0 / rms).log10(),
+            ssim: 0.9,
+        };
         Run {
             name: name.to_owned(),
-            picture: Picture { width: 1, height: 1, pixels: vec![[0.5; 4]] },
-            shown: ViewKey { camera: "anterior".to_owned(), size: [1, 1], surface: mode == Mode::Surface },
+            picture: Picture {
+                width: 1,
+                height: 1,
+                pixels: vec![[0.5; 4]],
+            },
+            shown: ViewKey {
+                camera: "anterior".to_owned(),
+                size: [1, 1],
+                surface: mode == Mode::Surface,
+            },
             mode,
             backend: backend.to_owned(),
             step,

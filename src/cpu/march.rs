@@ -84,8 +84,16 @@ fn sum<S: Simd>(v: f32x8<S>) -> u64 {
 impl<T: Voxel> RayMarcher<'_, T> {
     /// Marches through the volume along eight rays; returns premultiplied colours.
     #[inline(always)]
-    pub fn march<S: Simd>(&self, simd: S, rays: RayPacket<S>, stats: &mut RenderStats, fetch_policy: &mut FetchPolicy) -> [[f32; 4]; LANES] {
-        let Some((rays, mut way)) = self.begin(simd, rays, fetch_policy) else { return [[0.0; 4]; LANES] };
+    pub fn march<S: Simd>(
+        &self,
+        simd: S,
+        rays: RayPacket<S>,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> [[f32; 4]; LANES] {
+        let Some((rays, mut way)) = self.begin(simd, rays, fetch_policy) else {
+            return [[0.0; 4]; LANES];
+        };
         let mut accumulated = Accumulated {
             color: Vec3x8::splat(simd, Vec3::ZERO),
             transmittance: f32x8::splat(simd, 1.0),
@@ -100,26 +108,50 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
         stats.samples_skipped += sum(way.skipped);
         stats.samples_terminated += sum(way.terminated);
-        let Accumulated { color, transmittance, projection } = accumulated;
+        let Accumulated {
+            color,
+            transmittance,
+            projection,
+        } = accumulated;
         let mut colors = [[0.0; 4]; LANES];
         for (n, color_of) in colors.iter_mut().enumerate() {
-            *color_of = if self.composite { [color.x[n], color.y[n], color.z[n], 1.0 - transmittance[n]] } else { projection.color(self.scene, n) };
+            *color_of = if self.composite {
+                [color.x[n], color.y[n], color.z[n], 1.0 - transmittance[n]]
+            } else {
+                projection.color(self.scene, n)
+            };
         }
         colors
     }
 
     /// Where rays enter and leave the visible region; none if no ray does.
     #[inline(always)]
-    fn begin<S: Simd>(&self, simd: S, rays: RayPacket<S>, fetch_policy: &FetchPolicy) -> Option<(MarchRays<S>, March<S>)> {
+    fn begin<S: Simd>(
+        &self,
+        simd: S,
+        rays: RayPacket<S>,
+        fetch_policy: &FetchPolicy,
+    ) -> Option<(MarchRays<S>, March<S>)> {
         let scene = self.scene;
         let frame = &scene.frame;
         let zero = f32x8::splat(simd, 0.0);
-        let RayPacket { origin, direction, until } = rays;
+        let RayPacket {
+            origin,
+            direction,
+            until,
+        } = rays;
         let one = f32x8::splat(simd, 1.0);
-        let inverse_direction = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+        let inverse_direction = Vec3x8 {
+            x: one / direction.x,
+            y: one / direction.y,
+            z: one / direction.z,
+        };
         let step = match scene.settings.mode {
             Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.spacing.step_mm),
-            Mode::Slice => f32x8::splat(simd, frame.spacing.step_mm) / direction.dot(Vec3x8::splat(simd, frame.view.forward)),
+            Mode::Slice => {
+                f32x8::splat(simd, frame.spacing.step_mm)
+                    / direction.dot(Vec3x8::splat(simd, frame.view.forward))
+            }
         };
         let (near, far) = frame.proxy.intersect_rays(simd, origin, inverse_direction);
         let number = first_sample_after(near, step);
@@ -139,13 +171,19 @@ impl<T: Voxel> RayMarcher<'_, T> {
             length: step * frame.spacing.reference_mm.recip(),
             end,
             with_gradients: self.sampler.has_gradients() && fetch_policy.fetches_gradients(),
-            ahead: direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3)) * (step * PREFETCH_STEPS),
+            ahead: direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3))
+                * (step * PREFETCH_STEPS),
             none,
         };
         let march = March {
             number,
             live,
-            last: LastSamples { number: f32x8::splat(simd, NO_SAMPLE), present: none, depth: zero, value: zero },
+            last: LastSamples {
+                number: f32x8::splat(simd, NO_SAMPLE),
+                present: none,
+                depth: zero,
+                value: zero,
+            },
             cut_distance_t: never,
             cut_distance_mm: f32x8::splat(simd, -1.0),
             cut_free: none,
@@ -173,14 +211,20 @@ impl<T: Voxel> RayMarcher<'_, T> {
             if (*searching & !t.simd_lt(way.cut_free_until)).all_false() {
                 return (t, p);
             }
-            let (empty, in_cut_free, exit) = self.scene.volume().macrocells.blocks_lanes(simd, p, rays.origin, rays.inverse_direction);
+            let (empty, in_cut_free, exit) =
+                self.scene
+                    .volume()
+                    .macrocells
+                    .blocks_lanes(simd, p, rays.origin, rays.inverse_direction);
             way.cut_free = in_cut_free;
             way.cut_free_until = in_cut_free.select(exit, f32x8::splat(simd, f32::NEG_INFINITY));
             let empty = empty & *searching;
             if empty.all_false() {
                 return (t, p);
             }
-            let next = first_sample_after(exit, rays.step).max(way.number + 1.0).min(rays.end);
+            let next = first_sample_after(exit, rays.step)
+                .max(way.number + 1.0)
+                .min(rays.end);
             way.skipped += empty.select(next - way.number, f32x8::splat(simd, 0.0));
             way.number = empty.select(next, way.number);
             *searching &= way.number.simd_lt(rays.end);
@@ -225,7 +269,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         // distance was evaluated before.
         for n in lanes_of(near_cut.to_bitmask()) {
             way.cut_distance_t[n] = t[n];
-            way.cut_distance_mm[n] = cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
+            way.cut_distance_mm[n] =
+                cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
             near_cut.set(n, way.cut_distance_mm[n] <= self.margin_mm);
         }
         (left, share, near_cut)
@@ -278,7 +323,11 @@ impl<T: Voxel> RayMarcher<'_, T> {
             let whole = share.simd_eq(1.0);
             let previous = PreviousSamples {
                 // The same point, bit for bit, whether or not it was sampled.
-                point: Vec3x8::select(whole, origin + direction * ((number - 0.5) * step), p - direction * step),
+                point: Vec3x8::select(
+                    whole,
+                    origin + direction * ((number - 0.5) * step),
+                    p - direction * step,
+                ),
                 sampled: lanes & way.last.number.simd_eq(number - 1.0) & whole,
                 present: way.last.present,
                 depth: way.last.depth,
@@ -288,7 +337,9 @@ impl<T: Voxel> RayMarcher<'_, T> {
             let mut hit = lanes
                 & match self.scene.volume().iso {
                     Some(iso) => sample.present & sample.value.simd_ge(iso),
-                    None => sample.depth.simd_gt(0.0) | (sample.alpha.simd_gt(0.0) & sample.alpha.simd_lt(1.0)),
+                    None => {
+                        sample.depth.simd_gt(0.0) | (sample.alpha.simd_gt(0.0) & sample.alpha.simd_lt(1.0))
+                    }
                 };
             if self.grey_faces {
                 hit |= lanes & sample.present & (sample.alpha.simd_lt(1.0) | near_cut);
@@ -343,7 +394,13 @@ impl<T: Voxel> RayMarcher<'_, T> {
         accumulated: &mut Accumulated<S>,
         fetch_policy: &mut FetchPolicy,
     ) {
-        let FoundSamples { lanes, sample, deformed, share, .. } = found;
+        let FoundSamples {
+            lanes,
+            sample,
+            deformed,
+            share,
+            ..
+        } = found;
         let zero = f32x8::splat(simd, 0.0);
         let mut visible = *lanes & sample.depth.simd_gt(0.0);
         let mut opaque = rays.none;
@@ -352,14 +409,31 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let packet_lanes = visible & !scalar_lanes;
         if packet_lanes.any_true() {
             fetch_policy.shaded_lookups += 1;
-            let shading_rays = ShadingRays { direction: rays.direction, half: rays.half, step: rays.step };
-            let (shaded, factor, cut) = self.shade(simd, sample, *deformed, shading_rays, packet_lanes, &found.previous);
+            let shading_rays = ShadingRays {
+                direction: rays.direction,
+                half: rays.half,
+                step: rays.step,
+            };
+            let (shaded, factor, cut) = self.shade(
+                simd,
+                sample,
+                *deformed,
+                shading_rays,
+                packet_lanes,
+                &found.previous,
+            );
             rgb = shaded;
             depth = sample.depth * factor * *share;
             scalar_lanes |= cut;
         }
         for n in lanes_of((scalar_lanes & *lanes).to_bitmask()) {
-            match self.shade_scalar(sample.lane(n), sample.front[n], deformed.lane(n), rays.direction.lane(n), rays.step[n]) {
+            match self.shade_scalar(
+                sample.lane(n),
+                sample.front[n],
+                deformed.lane(n),
+                rays.direction.lane(n),
+                rays.step[n],
+            ) {
                 ScalarSample::Nothing => visible.set(n, false),
                 ScalarSample::Opaque(color) => {
                     opaque.set(n, true);
@@ -379,7 +453,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let pass = opaque.select(zero, exp2(-(depth * rays.length)));
         let weight = visible.select(accumulated.transmittance * (one - pass), zero);
         accumulated.color = accumulated.color + Vec3x8::select(visible, rgb, accumulated.color) * weight;
-        accumulated.transmittance = visible.select(accumulated.transmittance * pass, accumulated.transmittance);
+        accumulated.transmittance =
+            visible.select(accumulated.transmittance * pass, accumulated.transmittance);
         let mut through = opaque;
         if self.scene.settings.early_termination {
             through |= visible & accumulated.transmittance.simd_lt(MIN_TRANSMITTANCE);
@@ -392,17 +467,34 @@ impl<T: Voxel> RayMarcher<'_, T> {
     /// Which of the samples found are shaded one by one: those near a cut, and those at which
     /// material ends.
     #[inline(always)]
-    fn scalar_lanes<S: Simd>(&self, simd: S, rays: &MarchRays<S>, found: &FoundSamples<S>, visible: mask32x8<S>) -> mask32x8<S> {
-        let FoundSamples { lanes, sample, previous, .. } = found;
+    fn scalar_lanes<S: Simd>(
+        &self,
+        simd: S,
+        rays: &MarchRays<S>,
+        found: &FoundSamples<S>,
+        visible: mask32x8<S>,
+    ) -> mask32x8<S> {
+        let FoundSamples {
+            lanes,
+            sample,
+            previous,
+            ..
+        } = found;
         if self.grey_faces || self.scene.volume().iso.is_some() {
             return *lanes;
         }
         let mut scalar_lanes = found.near_cut & *lanes;
         // Faces of the volume farther than a step away change only the normal, unless there are
         // holes.
-        let near_face = *lanes & !sample.inside & !self.far_from_faces(sample.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+        let near_face = *lanes
+            & !sample.inside
+            & !self.far_from_faces(sample.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
         if near_face.any_true() {
-            let near = if self.scene.volume().grid.has_holes { f32x8::splat(simd, self.margin_mm) } else { rays.step * 1.1 };
+            let near = if self.scene.volume().grid.has_holes {
+                f32x8::splat(simd, self.margin_mm)
+            } else {
+                rays.step * 1.1
+            };
             scalar_lanes |= near_face & self.nearest_face(simd, sample.in_voxel).0.simd_lt(near);
         }
         // Material that ends between the previous sample and this one, both invisible: only one of
@@ -503,8 +595,20 @@ impl<S: Simd> FoundSamples<S> {
             color: anywhere,
             with_gradients: rays.with_gradients,
         };
-        let previous = PreviousSamples { point: anywhere, sampled: none, present: none, depth: zero };
-        Self { lanes: none, sample, deformed: anywhere, share: one, near_cut: none, previous }
+        let previous = PreviousSamples {
+            point: anywhere,
+            sampled: none,
+            present: none,
+            depth: zero,
+        };
+        Self {
+            lanes: none,
+            sample,
+            deformed: anywhere,
+            share: one,
+            near_cut: none,
+            previous,
+        }
     }
 
     /// Stores the samples of some lanes.
@@ -522,7 +626,8 @@ impl<S: Simd> FoundSamples<S> {
         if self.lanes.all_false() {
             // Other lanes need no preservation. Fields are assigned one by one: a call that copies
             // the whole would save all registers around it.
-            (at.in_voxel, at.value, at.differences, at.color) = (new.in_voxel, new.value, new.differences, new.color);
+            (at.in_voxel, at.value, at.differences, at.color) =
+                (new.in_voxel, new.value, new.differences, new.color);
             (at.depth, at.front, at.alpha) = (new.depth, new.front, new.alpha);
             (at.present, at.inside, at.cut_free) = (new.present, new.inside, new.cut_free);
             (self.deformed, self.share, self.near_cut, self.lanes) = (deformed, share, hit & near_cut, hit);

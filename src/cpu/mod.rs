@@ -80,10 +80,26 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, StageT
     scene.stack.fetch_texels();
     let gradients = stages.time("gradients", || scene.gradients_for_picture());
     let (picture, stats) = stages.time("render", || match &scene.volume().grid.voxels {
-        VoxelGridValues::U8(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
-        VoxelGridValues::U16(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
-        VoxelGridValues::I16(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
-        VoxelGridValues::F32(v) => rows(scene, &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients), watch),
+        VoxelGridValues::U8(v) => rows(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
+            watch,
+        ),
+        VoxelGridValues::U16(v) => rows(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
+            watch,
+        ),
+        VoxelGridValues::I16(v) => rows(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
+            watch,
+        ),
+        VoxelGridValues::F32(v) => rows(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
+            watch,
+        ),
     });
     (picture.reduced(scene.settings.antialias), stats, stages)
 }
@@ -92,14 +108,18 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
-    let strip_rows = STRIP_ROWS[usize::from((height as usize) < STRIP_ROWS[0] * STRIPS_PER_THREAD * rayon::current_num_threads())];
+    let strip_rows = STRIP_ROWS
+        [usize::from((height as usize) < STRIP_ROWS[0] * STRIPS_PER_THREAD * rayon::current_num_threads())];
     let marcher = RayMarcher::new(scene, sampler);
     let [columns, lines] = if scene.surfaces.objects.is_empty() {
         scene.frame.view.pixels_of(&scene.frame.proxy, scene.frame.size)
     } else {
         [[0, width as usize], [0, height as usize]]
     };
-    let mut strips: Vec<_> = pixels.chunks_mut(width as usize * strip_rows).enumerate().collect();
+    let mut strips: Vec<_> = pixels
+        .chunks_mut(width as usize * strip_rows)
+        .enumerate()
+        .collect();
     // From the middle outwards: expensive strips start first, and the threads end together on cheap
     // ones.
     strips.sort_by_key(|&(n, _)| (2 * n * strip_rows + strip_rows).abs_diff(lines[0] + lines[1]));
@@ -110,7 +130,14 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
             if watch.is_cancelled() {
                 return RenderStats::default();
             }
-            let strip = RowStrip { marcher: &marcher, scene, top: n * strip_rows, columns, lines, pixels };
+            let strip = RowStrip {
+                marcher: &marcher,
+                scene,
+                top: n * strip_rows,
+                columns,
+                lines,
+                pixels,
+            };
             let stats = with_simd(strip);
             let rows = done.fetch_add(strip_rows, Ordering::Relaxed) + strip_rows;
             (watch.progress)((rows as f32 / height as f32).min(1.0));
@@ -121,7 +148,14 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
             samples_skipped: a.samples_skipped + b.samples_skipped,
             samples_terminated: a.samples_terminated + b.samples_terminated,
         });
-    (Picture { width, height, pixels }, stats)
+    (
+        Picture {
+            width,
+            height,
+            pixels,
+        },
+        stats,
+    )
 }
 
 /// Some whole rows of the picture.
@@ -155,12 +189,17 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
             let u = (across + x as f32) / width as f32 * 2.0 - 1.0;
             let v = f32x8::splat(simd, 1.0) - (down + (self.top + y) as f32) / height as f32 * 2.0;
             let (origin, direction) = frame.view.rays(simd, u, v);
-            let mut rays = RayPacket { origin, direction, until: f32x8::splat(simd, f32::INFINITY) };
+            let mut rays = RayPacket {
+                origin,
+                direction,
+                until: f32x8::splat(simd, f32::INFINITY),
+            };
             let wanted = |n: usize| x + n % 4 < width && y + n / 4 < rows;
             let mut behind = [None; LANES];
             if !scene.surfaces.objects.is_empty() {
                 for n in (0..LANES).filter(|n| wanted(*n)) {
-                    behind[n] = surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
+                    behind[n] =
+                        surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
                     rays.until[n] = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
                 }
             }
@@ -168,8 +207,14 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
                 for n in 0..LANES {
                     // Samples are shifted by moving the origin of the ray.
                     let direction = direction.lane(n);
-                    let slant = if scene.settings.mode == Mode::Slice { direction.dot(frame.view.forward) } else { 1.0 };
-                    let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32) * frame.spacing.step_mm / slant;
+                    let slant = if scene.settings.mode == Mode::Slice {
+                        direction.dot(frame.view.forward)
+                    } else {
+                        1.0
+                    };
+                    let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32)
+                        * frame.spacing.step_mm
+                        / slant;
                     rays.origin.set(n, origin.lane(n) + direction * shift);
                     rays.until[n] = (rays.until[n] - shift).max(0.0);
                 }
@@ -181,7 +226,9 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
             for n in (0..LANES).filter(|n| wanted(*n)) {
                 let [r, g, b, a] = colors[n];
                 self.pixels[(y + n / 4) * width + x + n % 4] = match &behind[n] {
-                    Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a)).extend(1.0).to_array(),
+                    Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a))
+                        .extend(1.0)
+                        .to_array(),
                     None => colors[n],
                 };
             }
@@ -207,15 +254,33 @@ struct SceneSample {
 #[inline(always)]
 fn sample_scene<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, deformed: Vec3) -> SceneSample {
     if scene.cuts.signed_distance_mm(deformed) < 0.0 {
-        return SceneSample { in_voxel: Vec3::ZERO, value: 0.0, present: false, alpha: 0.0 };
+        return SceneSample {
+            in_voxel: Vec3::ZERO,
+            value: 0.0,
+            present: false,
+            alpha: 0.0,
+        };
     }
     let (source, alpha) = scene.stack.source_and_alpha(deformed);
     let in_voxel = scene.volume().voxel_from_world.transform_point3(source);
-    if alpha < 0.5 || in_voxel.cmplt(Vec3::splat(-0.5)).any() || in_voxel.cmpgt(scene.volume().grid_size - 0.5).any() {
-        return SceneSample { in_voxel, value: 0.0, present: false, alpha };
+    if alpha < 0.5
+        || in_voxel.cmplt(Vec3::splat(-0.5)).any()
+        || in_voxel.cmpgt(scene.volume().grid_size - 0.5).any()
+    {
+        return SceneSample {
+            in_voxel,
+            value: 0.0,
+            present: false,
+            alpha,
+        };
     }
     let value = sampler.sample(in_voxel);
-    SceneSample { in_voxel, value, present: !scene.volume().grid.has_holes || value >= -1e-4, alpha }
+    SceneSample {
+        in_voxel,
+        value,
+        present: !scene.volume().grid.has_holes || value >= -1e-4,
+        alpha,
+    }
 }
 
 /// Index of the first sample at or after `t`.
@@ -238,7 +303,11 @@ impl<S: Simd> IntensityProjection<S> {
             Blend::Mip => f32::NEG_INFINITY,
             _ => 0.0,
         };
-        Self { blend, value: f32x8::splat(simd, value), count: f32x8::splat(simd, 0.0) }
+        Self {
+            blend,
+            value: f32x8::splat(simd, value),
+            count: f32x8::splat(simd, 0.0),
+        }
     }
 
     /// Adds the values of the rays whose sample is present.
@@ -260,7 +329,11 @@ impl<S: Simd> IntensityProjection<S> {
         if count == 0.0 {
             return [0.0; 4];
         }
-        let value = if self.blend == Blend::Average { value / count } else { value };
+        let value = if self.blend == Blend::Average {
+            value / count
+        } else {
+            value
+        };
         let [r, g, b, depth] = scene.volume().table.lookup(value);
         let alpha = 1.0 - (-depth).exp2();
         [r * alpha, g * alpha, b * alpha, alpha]

@@ -67,9 +67,12 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
             grey_faces: scene.grey_faces(),
             lit: scene.is_lit(),
             gradient_opacity: scene.uses_gradient_opacity(),
-            preintegrated: scene
-                .preintegrated()
-                .then(|| Preintegrated::new(&scene.volume().table, scene.frame.spacing.step_mm / scene.frame.spacing.reference_mm)),
+            preintegrated: scene.preintegrated().then(|| {
+                Preintegrated::new(
+                    &scene.volume().table,
+                    scene.frame.spacing.step_mm / scene.frame.spacing.reference_mm,
+                )
+            }),
         }
     }
 
@@ -82,20 +85,36 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
     /// Samples eight points, of which only those in `lanes` are needed; `with_gradients` also
     /// fetches differences and colours. Does not evaluate analytic cut shapes.
     #[inline(always)]
-    pub(super) fn sample_points<S: Simd>(&self, simd: S, p: Vec3x8<S>, lanes: mask32x8<S>, with_gradients: bool) -> SamplePacket<S> {
+    pub(super) fn sample_points<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3x8<S>,
+        lanes: mask32x8<S>,
+        with_gradients: bool,
+    ) -> SamplePacket<S> {
         let walk = self.scene.stack.source_and_alpha_lanes(simd, p, lanes);
         let in_voxel = walk.source.transformed(&self.scene.volume().voxel_from_world);
         let top = self.scene.volume().grid_size - 0.5;
-        let mut present =
-            lanes & walk.alpha.simd_ge(0.5) & within(in_voxel.x, -0.5, top.x) & within(in_voxel.y, -0.5, top.y) & within(in_voxel.z, -0.5, top.z);
+        let mut present = lanes
+            & walk.alpha.simd_ge(0.5)
+            & within(in_voxel.x, -0.5, top.x)
+            & within(in_voxel.y, -0.5, top.y)
+            & within(in_voxel.z, -0.5, top.z);
         let none = Vec3x8::splat(simd, Vec3::ZERO);
-        let (value, differences) =
-            if with_gradients { self.sampler.sample_with_differences(simd, in_voxel) } else { (self.sampler.sample_lanes(simd, in_voxel), none) };
+        let (value, differences) = if with_gradients {
+            self.sampler.sample_with_differences(simd, in_voxel)
+        } else {
+            (self.sampler.sample_lanes(simd, in_voxel), none)
+        };
         if self.scene.volume().grid.has_holes {
             present &= value.simd_ge(-1e-4);
         }
         let table = &self.scene.volume().table;
-        let (color, depth) = if with_gradients { table.lookup_lanes(simd, value) } else { (none, table.depth_lanes(simd, value)) };
+        let (color, depth) = if with_gradients {
+            table.lookup_lanes(simd, value)
+        } else {
+            (none, table.depth_lanes(simd, value))
+        };
         let depth = present.select(depth, f32x8::splat(simd, 0.0));
         SamplePacket {
             in_voxel,
@@ -127,18 +146,34 @@ impl<'a, T: Voxel> RayMarcher<'a, T> {
     pub(super) fn far_from_faces<S: Simd>(&self, p: Vec3x8<S>, voxels: Vec3x8<S>) -> mask32x8<S> {
         let top = self.scene.volume().grid_size - 0.5;
         let above = p.x.simd_gt(voxels.x - 0.5) & p.y.simd_gt(voxels.y - 0.5) & p.z.simd_gt(voxels.z - 0.5);
-        above & p.x.simd_lt(-voxels.x + top.x) & p.y.simd_lt(-voxels.y + top.y) & p.z.simd_lt(-voxels.z + top.z)
+        above
+            & p.x.simd_lt(-voxels.x + top.x)
+            & p.y.simd_lt(-voxels.y + top.y)
+            & p.z.simd_lt(-voxels.z + top.z)
     }
 
     /// The nearer of the given faces and the two across an axis.
     #[inline(always)]
-    pub(super) fn nearer_face<S: Simd>(&self, simd: S, x: f32x8<S>, axis: usize, (nearest, normal): (f32x8<S>, Vec3x8<S>)) -> (f32x8<S>, Vec3x8<S>) {
+    pub(super) fn nearer_face<S: Simd>(
+        &self,
+        simd: S,
+        x: f32x8<S>,
+        axis: usize,
+        (nearest, normal): (f32x8<S>, Vec3x8<S>),
+    ) -> (f32x8<S>, Vec3x8<S>) {
         let (low, high) = (x + 0.5, -x + (self.scene.volume().grid_size[axis] - 0.5));
         let covector = self.world_from_covector.col(axis);
         let (inside, slope) = (low.min(high), covector.length());
         let nearer = inside.simd_lt(nearest * slope);
         let outward = Vec3x8::splat(simd, covector / -slope);
-        (nearer.select(inside / slope, nearest), Vec3x8::select(nearer, Vec3x8::select(low.simd_lt(high), outward, -outward), normal))
+        (
+            nearer.select(inside / slope, nearest),
+            Vec3x8::select(
+                nearer,
+                Vec3x8::select(low.simd_lt(high), outward, -outward),
+                normal,
+            ),
+        )
     }
 }
 
@@ -146,7 +181,12 @@ impl<S: Simd> SamplePacket<S> {
     /// The sample of one lane, and its optical depth.
     #[inline(always)]
     pub(super) fn lane(&self, n: usize) -> (SceneSample, f32) {
-        let sample = SceneSample { in_voxel: self.in_voxel.lane(n), value: self.value[n], present: self.present.test(n), alpha: self.alpha[n] };
+        let sample = SceneSample {
+            in_voxel: self.in_voxel.lane(n),
+            value: self.value[n],
+            present: self.present.test(n),
+            alpha: self.alpha[n],
+        };
         (sample, self.depth[n])
     }
 }

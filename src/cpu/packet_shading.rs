@@ -3,7 +3,8 @@
 use super::SceneSample;
 use super::packet::{RayMarcher, SamplePacket};
 use super::shading::{
-    self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ENTRY_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK, SURFACE_GRADIENT, VisibleSample,
+    self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ENTRY_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK,
+    SURFACE_GRADIENT, VisibleSample,
 };
 use crate::math::lanes::*;
 use crate::scene::Normals;
@@ -12,7 +13,13 @@ use glam::Vec3;
 
 /// A colour lit by its normal where there is a surface, and evenly where there is none.
 #[inline(always)]
-fn lit<S: Simd>(color: f32x8<S>, even: f32, diffuse: f32x8<S>, highlight: f32x8<S>, confidence: f32x8<S>) -> f32x8<S> {
+fn lit<S: Simd>(
+    color: f32x8<S>,
+    even: f32,
+    diffuse: f32x8<S>,
+    highlight: f32x8<S>,
+    confidence: f32x8<S>,
+) -> f32x8<S> {
     let (dull, lit) = (color * even, color.mul_add(diffuse, highlight));
     (lit - dull).mul_add(confidence, dull).max(0.0).min(1.0)
 }
@@ -20,7 +27,14 @@ fn lit<S: Simd>(color: f32x8<S>, even: f32, diffuse: f32x8<S>, highlight: f32x8<
 impl<T: Voxel> RayMarcher<'_, T> {
     /// A sample that is not plain.
     #[inline(never)]
-    pub(super) fn shade_scalar(&self, (at, depth): (SceneSample, f32), front: f32, sampled: Vec3, direction: Vec3, step: f32) -> ScalarSample {
+    pub(super) fn shade_scalar(
+        &self,
+        (at, depth): (SceneSample, f32),
+        front: f32,
+        sampled: Vec3,
+        direction: Vec3,
+        step: f32,
+    ) -> ScalarSample {
         let (scene, sampler) = (self.scene, self.sampler);
         if at.present
             && self.grey_faces
@@ -30,7 +44,9 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
         if let Some(iso) = scene.volume().iso {
             if at.present && at.value >= iso {
-                return ScalarSample::Opaque(shading::iso_surface(scene, sampler, iso, sampled, direction, step));
+                return ScalarSample::Opaque(shading::iso_surface(
+                    scene, sampler, iso, sampled, direction, step,
+                ));
             }
             return ScalarSample::Nothing;
         }
@@ -39,13 +55,20 @@ impl<T: Voxel> RayMarcher<'_, T> {
                 Some(table) => self.segment(table, front, at.value),
                 None => scene.volume().table.lookup(at.value),
             };
-            let sample = VisibleSample { deformed: sampled, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value };
+            let sample = VisibleSample {
+                deformed: sampled,
+                in_voxel: at.in_voxel,
+                color: Vec3::new(r, g, b),
+                depth,
+                value: at.value,
+            };
             let shaded = shading::shade(scene, sampler, &sample, direction, step);
             return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
         }
         if at.alpha > 0.0
             && at.alpha < 1.0
-            && let Some((depth, shaded)) = shading::thin_layer_at_cut(scene, sampler, sampled, at.present, direction, step)
+            && let Some((depth, shaded)) =
+                shading::thin_layer_at_cut(scene, sampler, sampled, at.present, direction, step)
         {
             return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
         }
@@ -88,7 +111,11 @@ impl<T: Voxel> RayMarcher<'_, T> {
         }
         let mut inward = self.inward_gradient(&entry, gradient, bits);
         if in_a_map.any_true() && matches!(scene.settings.normals, Normals::Transformed | Normals::Blended) {
-            inward = Vec3x8 { x: jacobian_columns[0].dot(inward), y: jacobian_columns[1].dot(inward), z: jacobian_columns[2].dot(inward) };
+            inward = Vec3x8 {
+                x: jacobian_columns[0].dot(inward),
+                y: jacobian_columns[1].dot(inward),
+                z: jacobian_columns[2].dot(inward),
+            };
         }
         let mut normal = -inward.normalized();
         if scene.light.two_sided {
@@ -96,15 +123,30 @@ impl<T: Voxel> RayMarcher<'_, T> {
             normal = Vec3x8::select(away, -normal, normal);
         }
         // A sample entered through the volume's own surface shows that surface.
-        let near_cut = lanes & !in_a_map & !entered & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
-        let (normal, confidence) = self.blended_at_faces(simd, at, sampled, rays.direction, near_cut, (normal, confidence));
-        (self.light(simd, normal, confidence, rays.half, color), factor, cut)
+        let near_cut = lanes
+            & !in_a_map
+            & !entered
+            & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
+        let (normal, confidence) =
+            self.blended_at_faces(simd, at, sampled, rays.direction, near_cut, (normal, confidence));
+        (
+            self.light(simd, normal, confidence, rays.half, color),
+            factor,
+            cut,
+        )
     }
 
     /// The colours of eight entries before lighting: from the transfer function, from the segments
     /// in front of them, or the volume's own.
     #[inline(always)]
-    fn unlit_color<S: Simd>(&self, simd: S, at: &SamplePacket<S>, entry: &SurfaceEntries<S>, entered: mask32x8<S>, bits: u64) -> Vec3x8<S> {
+    fn unlit_color<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        entry: &SurfaceEntries<S>,
+        entered: mask32x8<S>,
+        bits: u64,
+    ) -> Vec3x8<S> {
         let scene = self.scene;
         let mut color = match &self.preintegrated {
             None if at.with_gradients && !entered.any_true() => at.color,
@@ -128,7 +170,14 @@ impl<T: Voxel> RayMarcher<'_, T> {
 
     /// The source's gradients at eight entries, per mm.
     #[inline(always)]
-    fn world_gradient<S: Simd>(&self, simd: S, at: &SamplePacket<S>, entry: &SurfaceEntries<S>, entered: mask32x8<S>, bits: u64) -> Vec3x8<S> {
+    fn world_gradient<S: Simd>(
+        &self,
+        simd: S,
+        at: &SamplePacket<S>,
+        entry: &SurfaceEntries<S>,
+        entered: mask32x8<S>,
+        bits: u64,
+    ) -> Vec3x8<S> {
         let per_voxel = if at.with_gradients {
             let mut differences = at.differences;
             if entered.any_true() {
@@ -137,7 +186,8 @@ impl<T: Voxel> RayMarcher<'_, T> {
             }
             self.sampler.gradient_of(simd, entry.in_voxel, differences, bits)
         } else {
-            self.sampler.gradient_lanes(simd, entry.in_voxel, self.scene.gradient_filter(), bits)
+            self.sampler
+                .gradient_lanes(simd, entry.in_voxel, self.scene.gradient_filter(), bits)
         };
         per_voxel.mapped(&self.world_from_covector)
     }
@@ -155,9 +205,18 @@ impl<T: Voxel> RayMarcher<'_, T> {
     ) -> ([Vec3x8<S>; 3], mask32x8<S>) {
         let scene = self.scene;
         let mut cut = in_a_map & !in_a_map;
-        let mut jacobian_columns = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        let mut jacobian_columns = [
+            Vec3x8::splat(simd, Vec3::X),
+            Vec3x8::splat(simd, Vec3::Y),
+            Vec3x8::splat(simd, Vec3::Z),
+        ];
         // Far from every cut the deformation affects only samples that have a normal.
-        let mut active_lanes = in_a_map & !(at.cut_free & self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.deformed_face_margin_voxels)));
+        let mut active_lanes = in_a_map
+            & !(at.cut_free
+                & self.far_from_faces(
+                    entry.in_voxel,
+                    Vec3x8::splat(simd, self.deformed_face_margin_voxels),
+                ));
         if self.lit {
             active_lanes |= in_a_map & confidence.simd_gt(0.0);
         }
@@ -168,7 +227,10 @@ impl<T: Voxel> RayMarcher<'_, T> {
             // over the norm of J: usually enough to skip the exact test.
             let [x, y, z] = jets.columns;
             let norm = (x.dot(x) + y.dot(y) + z.dot(z)).sqrt();
-            let far = self.far_from_faces(entry.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels) * norm);
+            let far = self.far_from_faces(
+                entry.in_voxel,
+                Vec3x8::splat(simd, self.face_margin_voxels) * norm,
+            );
             cut |= active_lanes & jets.cut_distance_mm.simd_lt(self.margin_mm);
             for n in lanes_of((active_lanes & !far).to_bitmask()) {
                 let jet = scene.stack.jet(entry.deformed.lane(n));
@@ -182,7 +244,12 @@ impl<T: Voxel> RayMarcher<'_, T> {
 
     /// Gradients oriented into the material, needed only for one-sided light.
     #[inline(always)]
-    fn inward_gradient<S: Simd>(&self, entry: &SurfaceEntries<S>, gradient: Vec3x8<S>, bits: u64) -> Vec3x8<S> {
+    fn inward_gradient<S: Simd>(
+        &self,
+        entry: &SurfaceEntries<S>,
+        gradient: Vec3x8<S>,
+        bits: u64,
+    ) -> Vec3x8<S> {
         let scene = self.scene;
         let mut inward = gradient;
         if !scene.light.two_sided {
@@ -212,17 +279,25 @@ impl<T: Voxel> RayMarcher<'_, T> {
             return (normal, confidence);
         }
         let (distance, outward) = self.nearest_face(simd, at.in_voxel);
-        let own = smoothstep(scene.frame.spacing.blend_mm[0], scene.frame.spacing.blend_mm[1], distance);
+        let own = smoothstep(
+            scene.frame.spacing.blend_mm[0],
+            scene.frame.spacing.blend_mm[1],
+            distance,
+        );
         let facing = -outward.dot(direction);
         let near_cut = near_cut & own.simd_lt(1.0) & facing.simd_gt(0.0);
         if !near_cut.any_true() {
             return (normal, confidence);
         }
-        let way = (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
+        let way =
+            (distance * CUT_LOOKBACK_SHARE / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
         let near_cut = self.cut_in_front(simd, at, sampled, direction, way, near_cut);
         let of_face = f32x8::splat(simd, 1.0) - own;
         let blended = (normal * (own * confidence) + outward * of_face).normalized();
-        (Vec3x8::select(near_cut, blended, normal), near_cut.select((own * confidence).max(of_face), confidence))
+        (
+            Vec3x8::select(near_cut, blended, normal),
+            near_cut.select((own * confidence).max(of_face), confidence),
+        )
     }
 
     /// Which samples of `near_cut` have come out of the cut without passing another surface since;
@@ -252,7 +327,14 @@ impl<T: Voxel> RayMarcher<'_, T> {
 
     /// The light on eight samples; even where they have no normal.
     #[inline(always)]
-    fn light<S: Simd>(&self, simd: S, normal: Vec3x8<S>, confidence: f32x8<S>, half: Vec3x8<S>, color: Vec3x8<S>) -> Vec3x8<S> {
+    fn light<S: Simd>(
+        &self,
+        simd: S,
+        normal: Vec3x8<S>,
+        confidence: f32x8<S>,
+        half: Vec3x8<S>,
+        color: Vec3x8<S>,
+    ) -> Vec3x8<S> {
         let light = &self.scene.light;
         let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
         let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
@@ -277,7 +359,12 @@ impl<T: Voxel> RayMarcher<'_, T> {
         front: &PreviousSamples<S>,
     ) -> (SurfaceEntries<S>, mask32x8<S>) {
         let enough = at.depth * 0.5;
-        let mut first = SurfaceEntries { deformed: sampled, in_voxel: at.in_voxel, value: at.value, inside: at.inside };
+        let mut first = SurfaceEntries {
+            deformed: sampled,
+            in_voxel: at.in_voxel,
+            value: at.value,
+            inside: at.inside,
+        };
         let mut enters = lanes & front.sampled & !(front.present & front.depth.simd_ge(enough));
         let unknown = lanes & !front.sampled;
         if unknown.any_true() {

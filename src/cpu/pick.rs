@@ -34,14 +34,44 @@ pub struct Pick {
 pub fn at(scene: &Prepared, range: [f64; 2], u: f32, v: f32) -> Option<Pick> {
     let (origin, direction) = scene.frame.view.ray(u, v);
     match &scene.volume().grid.voxels {
-        VoxelGridValues::U8(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
-        VoxelGridValues::U16(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
-        VoxelGridValues::I16(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
-        VoxelGridValues::F32(voxels) => along(scene, &VolumeSampler::new(scene.volume().grid, voxels), range, origin, direction),
+        VoxelGridValues::U8(voxels) => along(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, voxels),
+            range,
+            origin,
+            direction,
+        ),
+        VoxelGridValues::U16(voxels) => along(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, voxels),
+            range,
+            origin,
+            direction,
+        ),
+        VoxelGridValues::I16(voxels) => along(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, voxels),
+            range,
+            origin,
+            direction,
+        ),
+        VoxelGridValues::F32(voxels) => along(
+            scene,
+            &VolumeSampler::new(scene.volume().grid, voxels),
+            range,
+            origin,
+            direction,
+        ),
     }
 }
 
-fn along<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, range: [f64; 2], origin: Vec3, direction: Vec3) -> Option<Pick> {
+fn along<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    range: [f64; 2],
+    origin: Vec3,
+    direction: Vec3,
+) -> Option<Pick> {
     let mesh = surface::nearest_side(scene, origin, direction);
     let until = mesh.map_or(f32::INFINITY, |(t, _)| t);
     let in_data = |value: f32| range[0] + f64::from(value) * (range[1] - range[0]);
@@ -49,24 +79,48 @@ fn along<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, range: [f64; 2]
         && let Some((deformed, at)) = first_visible_sample(scene, sampler, origin, direction, until)
     {
         let jet = jet(scene, deformed);
-        let gradient = shading::world_from_voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
+        let gradient =
+            shading::world_from_voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
         let cut = shading::nearer_cut_shape(scene, shading::nearest_cut(scene, &jet, at.in_voxel), deformed);
         let own = shading::shaded_normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction).normal;
         let normal = normalize_or(own, -direction);
-        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
-        return Some(Pick { deformed, source: jet.source, value: Some(in_data(at.value)), normal });
+        let normal = if normal.dot(direction) > 0.0 {
+            -normal
+        } else {
+            normal
+        };
+        return Some(Pick {
+            deformed,
+            source: jet.source,
+            value: Some(in_data(at.value)),
+            normal,
+        });
     }
     let (t, normal) = mesh?;
     let deformed = origin + direction * t;
     let at = sample_scene(scene, sampler, deformed);
     let source = scene.stack.source_and_alpha(deformed).0;
-    let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
-    Some(Pick { deformed, source, value: at.present.then(|| in_data(at.value)), normal: normalize_or(normal, -direction) })
+    let normal = if normal.dot(direction) > 0.0 {
+        -normal
+    } else {
+        normal
+    };
+    Some(Pick {
+        deformed,
+        source,
+        value: at.present.then(|| in_data(at.value)),
+        normal: normalize_or(normal, -direction),
+    })
 }
 
 fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     if scene.stack.is_empty() {
-        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
+        return Jet {
+            source: deformed,
+            d_source_d_deformed: Mat3::IDENTITY,
+            cut: NearestCut::NONE,
+            alpha: 1.0,
+        };
     }
     scene.stack.jet(deformed)
 }
@@ -83,12 +137,19 @@ fn first_visible_sample<T: Voxel>(
     let (near, far) = frame.proxy.intersect_ray(origin, direction)?;
     // Half the renderer's step: the point should lie on the surface, not up to a step behind it.
     let step = 0.5 * frame.spacing.step_mm;
-    let (mut i, end) = (first_sample_after(near, step), first_sample_after(far.min(until), step));
+    let (mut i, end) = (
+        first_sample_after(near, step),
+        first_sample_after(far.min(until), step),
+    );
     let inverse_direction = direction.recip();
     let mut transmittance = 1.0f32;
     while i < end {
         let deformed = origin + direction * ((i as f32 + 0.5) * step);
-        if let Some(t) = scene.volume().macrocells.empty_until(deformed, origin, inverse_direction) {
+        if let Some(t) = scene
+            .volume()
+            .macrocells
+            .empty_until(deformed, origin, inverse_direction)
+        {
             i = first_sample_after(t, step).max(i + 1).min(end);
             continue;
         }

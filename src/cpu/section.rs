@@ -39,7 +39,11 @@ impl SectionPlane {
     pub fn pixel(&self, world: Vec3) -> (f32, f32, f32) {
         let d = world - self.center;
         let [width, height] = self.size.map(|n| n as f32);
-        (d.dot(self.right) / self.mm_per_pixel + width / 2.0, d.dot(self.down) / self.mm_per_pixel + height / 2.0, d.dot(self.right.cross(self.down)))
+        (
+            d.dot(self.right) / self.mm_per_pixel + width / 2.0,
+            d.dot(self.down) / self.mm_per_pixel + height / 2.0,
+            d.dot(self.right.cross(self.down)),
+        )
     }
 }
 
@@ -70,10 +74,42 @@ pub fn sample(
     watch: &Watch,
 ) -> Result<Section> {
     let section = match &grid.voxels {
-        VoxelGridValues::U8(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
-        VoxelGridValues::U16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
-        VoxelGridValues::I16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
-        VoxelGridValues::F32(v) => rows(volume, grid, &VolumeSampler::new(grid, v), deformed, plane, determinants, watch),
+        VoxelGridValues::U8(v) => rows(
+            volume,
+            grid,
+            &VolumeSampler::new(grid, v),
+            deformed,
+            plane,
+            determinants,
+            watch,
+        ),
+        VoxelGridValues::U16(v) => rows(
+            volume,
+            grid,
+            &VolumeSampler::new(grid, v),
+            deformed,
+            plane,
+            determinants,
+            watch,
+        ),
+        VoxelGridValues::I16(v) => rows(
+            volume,
+            grid,
+            &VolumeSampler::new(grid, v),
+            deformed,
+            plane,
+            determinants,
+            watch,
+        ),
+        VoxelGridValues::F32(v) => rows(
+            volume,
+            grid,
+            &VolumeSampler::new(grid, v),
+            deformed,
+            plane,
+            determinants,
+            watch,
+        ),
     };
     watch.check()?;
     Ok(section)
@@ -97,22 +133,29 @@ fn rows<T: Voxel>(
     let span = (volume.range[1] - volume.range[0]) as f32;
     let nothing: SectionPixel = (f32::NAN, Vec3::ZERO, 1.0, 1.0);
     let mut pixels = vec![nothing; width * height];
-    pixels.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, row)| {
-        if watch.is_cancelled() {
-            return;
-        }
-        for (x, pixel) in row.iter_mut().enumerate() {
-            let p = plane.point(x as f32 + 0.5, y as f32 + 0.5);
-            *pixel = at(sampler, &voxel_from_world, top, deformed, p, determinants);
-            pixel.0 = pixel.0 * span + volume.range[0] as f32;
-        }
-    });
+    pixels
+        .par_chunks_mut(width.max(1))
+        .enumerate()
+        .for_each(|(y, row)| {
+            if watch.is_cancelled() {
+                return;
+            }
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let p = plane.point(x as f32 + 0.5, y as f32 + 0.5);
+                *pixel = at(sampler, &voxel_from_world, top, deformed, p, determinants);
+                pixel.0 = pixel.0 * span + volume.range[0] as f32;
+            }
+        });
     Section {
         plane,
         values: pixels.iter().map(|p| p.0).collect(),
         sources: pixels.iter().map(|p| p.1).collect(),
         mask: pixels.iter().map(|p| p.2).collect(),
-        determinants: if determinants { pixels.iter().map(|p| p.3).collect() } else { Vec::new() },
+        determinants: if determinants {
+            pixels.iter().map(|p| p.3).collect()
+        } else {
+            Vec::new()
+        },
     }
 }
 
@@ -128,8 +171,20 @@ fn at<T: Voxel>(
         None => (p, 1.0, 1.0),
         Some(d) => {
             let (source, alpha) = d.stack.source_and_alpha(p);
-            let determinant = if determinants && !d.stack.is_empty() { d.stack.jet(p).d_source_d_deformed.determinant() } else { 1.0 };
-            (source, if d.cuts.signed_distance_mm(p) < 0.0 { 0.0 } else { alpha }, determinant)
+            let determinant = if determinants && !d.stack.is_empty() {
+                d.stack.jet(p).d_source_d_deformed.determinant()
+            } else {
+                1.0
+            };
+            (
+                source,
+                if d.cuts.signed_distance_mm(p) < 0.0 {
+                    0.0
+                } else {
+                    alpha
+                },
+                determinant,
+            )
         }
     };
     let in_voxel = voxel_from_world.transform_point3(source);
@@ -137,7 +192,12 @@ fn at<T: Voxel>(
         return (f32::NAN, source, mask, determinant);
     }
     let value = sampler.sample(in_voxel);
-    (if value >= -1e-4 { value } else { f32::NAN }, source, mask, determinant)
+    (
+        if value >= -1e-4 { value } else { f32::NAN },
+        source,
+        mask,
+        determinant,
+    )
 }
 
 #[cfg(test)]
@@ -154,7 +214,13 @@ mod tests {
 
     fn plane(assets: &Assets) -> SectionPlane {
         let b = assets.volume.bounds_in_world();
-        SectionPlane { center: b.center(), right: Vec3::X, down: Vec3::Y, mm_per_pixel: b.size().x / 24.0, size: [24, 24] }
+        SectionPlane {
+            center: b.center(),
+            right: Vec3::X,
+            down: Vec3::Y,
+            mm_per_pixel: b.size().x / 24.0,
+            size: [24, 24],
+        }
     }
 
     #[test]
@@ -162,7 +228,10 @@ mod tests {
         let (_, assets) = head();
         let plane = plane(&assets);
         let (x, y, away) = plane.pixel(plane.point(3.25, 17.5) + Vec3::Z * 4.0);
-        assert!((x - 3.25).abs() < 1e-4 && (y - 17.5).abs() < 1e-4 && (away - 4.0).abs() < 1e-4, "{x} {y} {away}");
+        assert!(
+            (x - 3.25).abs() < 1e-4 && (y - 17.5).abs() < 1e-4 && (away - 4.0).abs() < 1e-4,
+            "{x} {y} {away}"
+        );
     }
 
     #[test]
@@ -170,7 +239,11 @@ mod tests {
         let (_, assets) = head();
         let mut plane = plane(&assets);
         // Through the centres of the voxels of one layer.
-        let voxel = assets.volume.world_from_voxel.transform_point3(glam::DVec3::new(0.0, 0.0, 11.0)).as_vec3();
+        let voxel = assets
+            .volume
+            .world_from_voxel
+            .transform_point3(glam::DVec3::new(0.0, 0.0, 11.0))
+            .as_vec3();
         plane.center.z = voxel.z;
         let section = sample(&assets.volume, assets.grid(), None, plane, false, &Watch::NONE).unwrap();
         for (n, value) in section.values.iter().enumerate() {
@@ -186,10 +259,29 @@ mod tests {
         cut.size = Some(crate::scene::Size::Cube(1e4));
         scene.deformation.push(cut);
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        let deformed = StackAndCuts { stack: &prepared.stack, cuts: &prepared.cuts };
-        let cut = sample(&assets.volume, assets.grid(), Some(deformed), plane(&assets), true, &Watch::NONE).unwrap();
+        let deformed = StackAndCuts {
+            stack: &prepared.stack,
+            cuts: &prepared.cuts,
+        };
+        let cut = sample(
+            &assets.volume,
+            assets.grid(),
+            Some(deformed),
+            plane(&assets),
+            true,
+            &Watch::NONE,
+        )
+        .unwrap();
         assert!(cut.values.iter().all(|v| v.is_nan()) && cut.mask.iter().all(|m| *m < 0.5));
-        let source = sample(&assets.volume, assets.grid(), None, plane(&assets), false, &Watch::NONE).unwrap();
+        let source = sample(
+            &assets.volume,
+            assets.grid(),
+            None,
+            plane(&assets),
+            false,
+            &Watch::NONE,
+        )
+        .unwrap();
         assert!(source.values.iter().all(|v| v.is_finite()));
     }
 }

@@ -92,18 +92,36 @@ pub(super) fn visible_sample(scene: &Prepared, at: &SceneSample, deformed: Vec3)
         return None;
     }
     let [r, g, b, depth] = scene.volume().table.lookup(at.value);
-    (depth > 0.0).then_some(VisibleSample { deformed, in_voxel: at.in_voxel, color: Vec3::new(r, g, b), depth, value: at.value })
+    (depth > 0.0).then_some(VisibleSample {
+        deformed,
+        in_voxel: at.in_voxel,
+        color: Vec3::new(r, g, b),
+        depth,
+        value: at.value,
+    })
 }
 
 /// Shades a visible sample, seen along `direction` with samples every `step_mm`.
-pub fn shade<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, direction: Vec3, step_mm: f32) -> Shaded {
+pub fn shade<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    sample: &VisibleSample,
+    direction: Vec3,
+    step_mm: f32,
+) -> Shaded {
     let jet_here = jet(scene, sample.deformed);
     let cut = nearest_cut(scene, &jet_here, sample.in_voxel);
     let share = path_fraction(scene, sampler, &cut, sample.deformed, direction, step_mm);
     let mut shaded = match entry(scene, sampler, sample, direction, step_mm) {
         Some(entry) => shade_entry(scene, sampler, &entry, direction),
         None => {
-            let cut = cut_in_front(scene, sampler, sample, nearer_cut_shape(scene, cut, sample.deformed), direction);
+            let cut = cut_in_front(
+                scene,
+                sampler,
+                sample,
+                nearer_cut_shape(scene, cut, sample.deformed),
+                direction,
+            );
             shade_point(scene, sampler, sample, &jet_here, &cut, direction)
         }
     };
@@ -122,7 +140,13 @@ pub(super) const CUT_LOOKBACK_STEPS: u32 = 4;
 
 /// A cut near a sample inside the material, if the ray came out of it; none if the ray has passed
 /// another surface since, or heads towards the cut.
-fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, cut: NearestCut, direction: Vec3) -> NearestCut {
+fn cut_in_front<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    sample: &VisibleSample,
+    cut: NearestCut,
+    direction: Vec3,
+) -> NearestCut {
     if scene.settings.normals != Normals::Blended || cut.distance_mm >= scene.frame.spacing.blend_mm[1] {
         return cut;
     }
@@ -130,11 +154,16 @@ fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: 
     if facing <= 0.0 {
         return NearestCut::NONE;
     }
-    let mut way = (CUT_LOOKBACK_SHARE * cut.distance_mm.max(0.0) / facing).min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
+    let mut way = (CUT_LOOKBACK_SHARE * cut.distance_mm.max(0.0) / facing)
+        .min(MAX_CUT_LOOKBACK * scene.frame.spacing.blend_mm[1]);
     for _ in 0..CUT_LOOKBACK_STEPS {
         let back = super::sample_scene(scene, sampler, sample.deformed - direction * way);
         if back.present {
-            return if scene.volume().table.lookup(back.value)[3] >= 0.5 * sample.depth { cut } else { NearestCut::NONE };
+            return if scene.volume().table.lookup(back.value)[3] >= 0.5 * sample.depth {
+                cut
+            } else {
+                NearestCut::NONE
+            };
         }
         // The sample lies beyond the face, which is less flat than assumed.
         way *= 0.5;
@@ -143,16 +172,28 @@ fn cut_in_front<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: 
 }
 
 /// Shades the point at which a ray enters the material.
-fn shade_entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, entry: &SurfaceEntry, direction: Vec3) -> Shaded {
+fn shade_entry<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    entry: &SurfaceEntry,
+    direction: Vec3,
+) -> Shaded {
     let first = &entry.first;
     let jet = jet(scene, first.deformed);
-    let cut = if entry.through_cut { nearer_cut_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed) } else { NearestCut::NONE };
+    let cut = if entry.through_cut {
+        nearer_cut_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed)
+    } else {
+        NearestCut::NONE
+    };
     shade_point(scene, sampler, first, &jet, &cut, direction)
 }
 
 /// The voxels' own colour, if the volume has colours and shows them.
 fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
-    scene.volume().colors.map(|colors| colors.sample(scene.volume().grid.size, in_voxel))
+    scene
+        .volume()
+        .colors
+        .map(|colors| colors.sample(scene.volume().grid.size, in_voxel))
 }
 
 /// Lighting and gradient opacity at a point.
@@ -166,16 +207,37 @@ fn shade_point<T: Voxel>(
 ) -> Shaded {
     let color = own_color(scene, sample.in_voxel).unwrap_or(sample.color);
     if !scene.is_lit() && !scene.uses_gradient_opacity() {
-        return Shaded { color, depth_factor: 1.0 };
+        return Shaded {
+            color,
+            depth_factor: 1.0,
+        };
     }
-    let gradient_in_source = world_from_voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
-    let depth_factor = if scene.uses_gradient_opacity() { scene.volume().table.gradient_factor(gradient_in_source.length()) } else { 1.0 };
+    let gradient_in_source =
+        world_from_voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
+    let depth_factor = if scene.uses_gradient_opacity() {
+        scene.volume().table.gradient_factor(gradient_in_source.length())
+    } else {
+        1.0
+    };
     if !scene.is_lit() {
         return Shaded { color, depth_factor };
     }
-    let falling = if scene.light.two_sided { 1.0 } else { scene.volume().table.opacity_slope_sign(sample.value) };
-    let normal = shaded_normal(scene, &jet.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    Shaded { color: light(scene, normal, direction, color), depth_factor }
+    let falling = if scene.light.two_sided {
+        1.0
+    } else {
+        scene.volume().table.opacity_slope_sign(sample.value)
+    };
+    let normal = shaded_normal(
+        scene,
+        &jet.d_source_d_deformed,
+        gradient_in_source * falling,
+        cut,
+        direction,
+    );
+    Shaded {
+        color: light(scene, normal, direction, color),
+        depth_factor,
+    }
 }
 
 /// A layer thinner than a step between a cut and an invisible sample. It is found only if a cut
@@ -199,7 +261,11 @@ pub(super) fn thin_layer_at_cut<T: Voxel>(
     }
     let visible_at = |p: Vec3| visible_sample(scene, &super::sample_scene(scene, sampler, p), p);
     let end = if present { deformed } else { before };
-    let (mut inside, mut outside) = if present { (deformed, before) } else { (before, deformed) };
+    let (mut inside, mut outside) = if present {
+        (deformed, before)
+    } else {
+        (before, deformed)
+    };
     for _ in 0..ENTRY_STEPS {
         let middle = (inside + outside) * 0.5;
         if super::sample_scene(scene, sampler, middle).present {
@@ -220,7 +286,10 @@ pub(super) fn thin_layer_at_cut<T: Voxel>(
     let share = (dense.deformed - outside).length() / step_mm;
     // Coming out of a cut, the ray sees the cut's face; going into one, it sees the surface on the
     // layer's other side.
-    let entry = SurfaceEntry { first: if present { at_cut } else { dense }, through_cut: present };
+    let entry = SurfaceEntry {
+        first: if present { at_cut } else { dense },
+        through_cut: present,
+    };
     let mut shaded = shade_entry(scene, sampler, &entry, direction);
     shaded.depth_factor *= share;
     Some((at_cut.depth, shaded))
@@ -228,7 +297,12 @@ pub(super) fn thin_layer_at_cut<T: Voxel>(
 
 fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     if scene.stack.is_empty() {
-        return Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
+        return Jet {
+            source: deformed,
+            d_source_d_deformed: Mat3::IDENTITY,
+            cut: NearestCut::NONE,
+            alpha: 1.0,
+        };
     }
     scene.stack.jet(deformed)
 }
@@ -243,7 +317,13 @@ struct SurfaceEntry {
 
 /// If the previous sample is less than half as dense as this one, the ray has entered the material
 /// between the two; finds where, by bisection.
-fn entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &VisibleSample, direction: Vec3, step_mm: f32) -> Option<SurfaceEntry> {
+fn entry<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    sample: &VisibleSample,
+    direction: Vec3,
+    step_mm: f32,
+) -> Option<SurfaceEntry> {
     // The sample at a point if it is dense enough, else whether the point is present at all.
     let dense = |deformed: Vec3| {
         let at = super::sample_scene(scene, sampler, deformed);
@@ -252,7 +332,17 @@ fn entry<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, sample: &Visibl
         }
         let (in_voxel, value) = (at.in_voxel, at.value);
         let [r, g, b, depth] = scene.volume().table.lookup(value);
-        if depth >= 0.5 * sample.depth { Ok(VisibleSample { deformed, in_voxel, color: Vec3::new(r, g, b), depth, value }) } else { Err(true) }
+        if depth >= 0.5 * sample.depth {
+            Ok(VisibleSample {
+                deformed,
+                in_voxel,
+                color: Vec3::new(r, g, b),
+                depth,
+                value,
+            })
+        } else {
+            Err(true)
+        }
     };
     let mut through_cut = !dense(sample.deformed - direction * step_mm).err()?;
     let mut first = *sample;
@@ -282,7 +372,11 @@ pub fn nearest_cut(scene: &Prepared, jet: &Jet, in_voxel: Vec3) -> NearestCut {
     let high = scene.volume().grid_size - 0.5 - in_voxel;
     let mut cut = jet.cut;
     for axis in 0..3 {
-        let (inside, inward) = if low[axis] < high[axis] { (low[axis], 1.0) } else { (high[axis], -1.0) };
+        let (inside, inward) = if low[axis] < high[axis] {
+            (low[axis], 1.0)
+        } else {
+            (high[axis], -1.0)
+        };
         let per_mm = world_from_voxel_covector(scene, Vec3::AXES[axis] * inward);
         cut = cut.nearer_of(inside, jet.d_source_d_deformed.transpose() * per_mm);
     }
@@ -296,7 +390,12 @@ pub fn nearer_cut_shape(scene: &Prepared, cut: NearestCut, deformed: Vec3) -> Ne
     if distance_mm > scene.frame.spacing.blend_mm[1] {
         cut
     } else {
-        cut.nearer_of(distance_mm, scene.cuts.gradient(deformed, 0.05 * scene.frame.spacing.reference_mm))
+        cut.nearer_of(
+            distance_mm,
+            scene
+                .cuts
+                .gradient(deformed, 0.05 * scene.frame.spacing.reference_mm),
+        )
     }
 }
 
@@ -325,7 +424,11 @@ pub(super) fn grey_face<T: Voxel>(
     let (mut inside, mut outside) = (deformed, deformed - direction * step_mm);
     for _ in 0..FACE_STEPS {
         let middle = (inside + outside) * 0.5;
-        if is_cut(scene, middle) { outside = middle } else { inside = middle }
+        if is_cut(scene, middle) {
+            outside = middle
+        } else {
+            inside = middle
+        }
     }
     // The ray may have left the volume's box between the cut and here.
     let face = super::sample_scene(scene, sampler, inside);
@@ -348,12 +451,23 @@ fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSample
     // Values decrease outwards, that is, towards a light that the surface faces.
     let [l, u, v] = [to_light, u, v].map(|e| value(at - e * h) - value(at + e * h));
     let facing = l / (l * l + u * u + v * v).sqrt().max(1e-6);
-    if scene.light.two_sided { facing.abs() } else { facing.max(0.0) }
+    if scene.light.two_sided {
+        facing.abs()
+    } else {
+        facing.max(0.0)
+    }
 }
 
 /// Colour of the surface where the volume has the value `iso`, crossed within the step before
 /// `deformed` (\[RVD01\] section 3.3).
-pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, iso: f32, deformed: Vec3, direction: Vec3, step_mm: f32) -> Vec3 {
+pub(super) fn iso_surface<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    iso: f32,
+    deformed: Vec3,
+    direction: Vec3,
+    step_mm: f32,
+) -> Vec3 {
     let inside_at = |p: Vec3| {
         let at = super::sample_scene(scene, sampler, p);
         (at, at.present && at.value >= iso)
@@ -372,13 +486,20 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>
         }
     }
     let hit = super::sample_scene(scene, sampler, inside);
-    let [r, g, b, _] = scene.volume().table.lookup(if through_cut { hit.value } else { iso });
+    let [r, g, b, _] = scene
+        .volume()
+        .table
+        .lookup(if through_cut { hit.value } else { iso });
     let color = own_color(scene, hit.in_voxel).unwrap_or(Vec3::new(r, g, b));
     if !scene.is_lit() {
         return color;
     }
     let jet = jet(scene, inside);
-    let cut = if through_cut { nearer_cut_shape(scene, nearest_cut(scene, &jet, hit.in_voxel), inside) } else { NearestCut::NONE };
+    let cut = if through_cut {
+        nearer_cut_shape(scene, nearest_cut(scene, &jet, hit.in_voxel), inside)
+    } else {
+        NearestCut::NONE
+    };
     let gradient = world_from_voxel_covector(scene, sampler.gradient(hit.in_voxel, scene.gradient_filter()));
     if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
         let facing = light_cosine_by_derivative(scene, sampler, inside);
@@ -393,24 +514,42 @@ pub(super) fn iso_surface<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>
 /// Next to a cut, the neighbouring sample on the cut's other side decides whether this one
 /// represents the rest of the path: it does if the neighbour is cut away. (The distance alone would
 /// count half a sample too much or too little wherever a sample lies exactly on the cut.)
-fn path_fraction<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, cut: &NearestCut, deformed: Vec3, direction: Vec3, step_mm: f32) -> f32 {
+fn path_fraction<T: Voxel>(
+    scene: &Prepared,
+    sampler: &VolumeSampler<T>,
+    cut: &NearestCut,
+    deformed: Vec3,
+    direction: Vec3,
+    step_mm: f32,
+) -> f32 {
     let facing = cut.normal.dot(direction);
     let across = step_mm * facing.abs();
     if cut.distance_mm >= 1.1 * across {
         return 1.0;
     }
     let beyond = deformed + direction * if facing < 0.0 { -step_mm } else { step_mm };
-    if super::sample_scene(scene, sampler, beyond).present { 1.0 } else { 0.5 + (cut.distance_mm / across).clamp(0.0, 1.0) }
+    if super::sample_scene(scene, sampler, beyond).present {
+        1.0
+    } else {
+        0.5 + (cut.distance_mm / across).clamp(0.0, 1.0)
+    }
 }
 
 /// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points
 /// into the material.
-pub fn shaded_normal(scene: &Prepared, d_source_d_deformed: &Mat3, gradient_in_source: Vec3, cut: &NearestCut, direction: Vec3) -> Normal {
+pub fn shaded_normal(
+    scene: &Prepared,
+    d_source_d_deformed: &Mat3,
+    gradient_in_source: Vec3,
+    cut: &NearestCut,
+    direction: Vec3,
+) -> Normal {
     let gradient = match scene.settings.normals {
         Normals::Source | Normals::None => gradient_in_source,
         Normals::Transformed | Normals::Blended => d_source_d_deformed.transpose() * gradient_in_source,
     };
-    let per_reference = gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm;
+    let per_reference =
+        gradient_in_source.length() * scene.volume().table.scale.abs() * scene.frame.spacing.reference_mm;
     let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
     // Out of the material: down the gradient, which the caller has oriented to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
@@ -432,7 +571,9 @@ fn light(scene: &Prepared, n: Normal, direction: Vec3, color: Vec3) -> Vec3 {
     let to_light = scene.frame.to_light;
     let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
     let half = normalize_or(to_light - direction, to_light);
-    let (diffuse, highlight) = light.blinn_phong().shine(n.normal.dot(to_light), n.normal.dot(half));
+    let (diffuse, highlight) = light
+        .blinn_phong()
+        .shine(n.normal.dot(to_light), n.normal.dot(half));
     let lit = color * diffuse + highlight;
     (color * even + (lit - color * even) * n.confidence).clamp(Vec3::ZERO, Vec3::ONE)
 }

@@ -102,14 +102,19 @@ pub fn nearest_side(scene: &Prepared, origin: Vec3, direction: Vec3) -> Option<(
         };
         let hit = match (object.stage, &object.triangles) {
             (Stage::Rays, _) | (_, None) => by_field(),
-            (Stage::Triangles, Some(triangles)) => {
-                triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true).map(|h| (h.t, triangle_normal(triangles, &h)))
-            }
+            (Stage::Triangles, Some(triangles)) => triangles
+                .tree
+                .ray(origin, direction, 0.0, f32::INFINITY, |_| true)
+                .map(|h| (h.t, triangle_normal(triangles, &h))),
             (Stage::Both(seam), Some(triangles)) => {
-                let drawn =
-                    triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| is_undeformed(scene, object, origin + direction * h.t, seam));
+                let drawn = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| {
+                    is_undeformed(scene, object, origin + direction * h.t, seam)
+                });
                 let drawn = drawn.map(|h| (h.t, triangle_normal(triangles, &h)));
-                [drawn, by_field()].into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))
+                [drawn, by_field()]
+                    .into_iter()
+                    .flatten()
+                    .min_by(|a, b| a.0.total_cmp(&b.0))
             }
         };
         if let Some(hit) = hit
@@ -121,16 +126,29 @@ pub fn nearest_side(scene: &Prepared, origin: Vec3, direction: Vec3) -> Option<(
     best
 }
 
-fn object_hit(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
-    let mut by_field = || trace(scene, object, origin, direction, samples).map(|(t, side)| shade_field(scene, object, origin, direction, t, side));
+fn object_hit(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    origin: Vec3,
+    direction: Vec3,
+    samples: &mut u64,
+) -> Option<SurfaceHit> {
+    let mut by_field = || {
+        trace(scene, object, origin, direction, samples)
+            .map(|(t, side)| shade_field(scene, object, origin, direction, t, side))
+    };
     match (object.stage, &object.triangles) {
         (Stage::Rays, _) | (_, None) => by_field(),
         (Stage::Triangles, Some(triangles)) => {
-            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true)?;
+            let hit = triangles
+                .tree
+                .ray(origin, direction, 0.0, f32::INFINITY, |_| true)?;
             Some(shade_triangle(scene, object, triangles, &hit, direction))
         }
         (Stage::Both(seam), Some(triangles)) => {
-            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| is_undeformed(scene, object, origin + direction * h.t, seam));
+            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| {
+                is_undeformed(scene, object, origin + direction * h.t, seam)
+            });
             let drawn = hit.map(|h| shade_triangle(scene, object, triangles, &h, direction));
             blend_seam(scene, object, drawn, by_field(), origin, direction, seam)
         }
@@ -184,38 +202,74 @@ fn blend_seam(
     direction: Vec3,
     seam: f32,
 ) -> Option<SurfaceHit> {
-    let (Some(d), Some(c)) = (drawn, cast) else { return drawn.or(cast) };
+    let (Some(d), Some(c)) = (drawn, cast) else {
+        return drawn.or(cast);
+    };
     if (d.t - c.t).abs() > 2.0 * object.cell_mm {
         return Some(if d.t < c.t { d } else { c });
     }
-    let weight = smoothstep(0.0, seam, depth_in_boxes(scene, object, origin + direction * d.t, seam));
-    Some(SurfaceHit { t: d.t + (c.t - d.t) * weight, color: d.color.lerp(c.color, weight) })
+    let weight = smoothstep(
+        0.0,
+        seam,
+        depth_in_boxes(scene, object, origin + direction * d.t, seam),
+    );
+    Some(SurfaceHit {
+        t: d.t + (c.t - d.t) * weight,
+        color: d.color.lerp(c.color, weight),
+    })
 }
 
 /// f of the object's cut model, from the value of its field.
 fn apply_cut_model(object: &SurfaceObject, f: f32) -> f32 {
-    if object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm { object.thickness_mm - f } else { f }
+    if object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm {
+        object.thickness_mm - f
+    } else {
+        f
+    }
 }
 
 fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32) -> SurfaceSample {
     let p = origin + direction * t;
-    let Some(implicit) = &object.implicit else { return SurfaceSample { t, f: -1.0, cut: -1.0 } };
+    let Some(implicit) = &object.implicit else {
+        return SurfaceSample {
+            t,
+            f: -1.0,
+            cut: -1.0,
+        };
+    };
     if object.rigid {
-        return SurfaceSample { t, f: apply_cut_model(object, implicit.value(p)), cut: -1.0 };
+        return SurfaceSample {
+            t,
+            f: apply_cut_model(object, implicit.value(p)),
+            cut: -1.0,
+        };
     }
     let (source, alpha) = scene.stack.source_and_alpha_unclipped(p);
-    SurfaceSample { t, f: apply_cut_model(object, implicit.value(source)), cut: (0.5 - alpha).max(-scene.cuts.signed_distance_mm(p)) }
+    SurfaceSample {
+        t,
+        f: apply_cut_model(object, implicit.value(source)),
+        cut: (0.5 - alpha).max(-scene.cuts.signed_distance_mm(p)),
+    }
 }
 
 /// Follows a ray to the first hit of an object: its distance and side.
-pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<(f32, HitSide)> {
+pub fn trace(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    origin: Vec3,
+    direction: Vec3,
+    samples: &mut u64,
+) -> Option<(f32, HitSide)> {
     let grid = &object.cells.grid;
     let (near, far) = grid.occupied.intersect_ray(origin, direction)?;
     let inverse = direction.recip();
     let mut t = near.max(0.0);
     let finest = MIN_STEP * (far - t);
     let mut before: Option<SurfaceSample> = None;
-    let is_distance = object.implicit.as_ref().is_some_and(crate::mesh::Implicit::is_distance);
+    let is_distance = object
+        .implicit
+        .as_ref()
+        .is_some_and(crate::mesh::Implicit::is_distance);
     let mut count = 0;
     while t < far && count < MAX_SAMPLES {
         let p = origin + direction * t;
@@ -235,11 +289,21 @@ pub fn trace(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: 
             return Some(hit);
         }
         before = Some(here);
-        t += step_length(scene, object, &here, p, is_distance, origin, inverse, t).max(MIN_ADVANCE * t).max(finest);
+        t += step_length(scene, object, &here, p, is_distance, origin, inverse, t)
+            .max(MIN_ADVANCE * t)
+            .max(finest);
     }
     // The last part of the ray, up to the end of the occupied box.
-    let hit =
-        before.filter(|b| b.t < far).and_then(|b| first_event(scene, object, origin, direction, b, sample(scene, object, origin, direction, far)));
+    let hit = before.filter(|b| b.t < far).and_then(|b| {
+        first_event(
+            scene,
+            object,
+            origin,
+            direction,
+            b,
+            sample(scene, object, origin, direction, far),
+        )
+    });
     *samples += u64::from(count);
     hit
 }
@@ -261,14 +325,24 @@ fn step_length(
     let slope = || object.cells.slope[grid.index(p)].max(1e-3);
     // Bounds hold within the cell; the next sample lies at most just beyond it.
     let within = |length: f32| {
-        let cell = ((p - grid.origin) / grid.cell_mm).floor().clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
+        let cell = ((p - grid.origin) / grid.cell_mm)
+            .floor()
+            .clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
         let low = grid.origin + cell * grid.cell_mm;
-        let far = ((low - origin) * inverse).max((low + grid.cell_mm - origin) * inverse).min_element();
+        let far = ((low - origin) * inverse)
+            .max((low + grid.cell_mm - origin) * inverse)
+            .min_element();
         length.min((far - t).max(0.0) + 0.01 * even + MIN_ADVANCE * t)
     };
     match scene.surfaces.steps {
         Steps::Uniform => even,
-        Steps::Threshold => even * if here.f.abs() < scene.surfaces.threshold * object.cell_mm { THRESHOLD_STEP } else { 1.0 },
+        Steps::Threshold => {
+            even * if here.f.abs() < scene.surfaces.threshold * object.cell_mm {
+                THRESHOLD_STEP
+            } else {
+                1.0
+            }
+        }
         Steps::Jacobian => within(even / slope()),
         Steps::Sphere if !is_distance => even,
         Steps::Sphere => {
@@ -276,7 +350,11 @@ fn step_length(
             let shortest = MIN_SPHERE_STEP * even / slope.max(1.0);
             // In a cut the next hit may be the cut itself.
             let in_cut = here.cut > 0.0 && here.f > 0.0 && object.look.model != CutModel::Hollow;
-            if in_cut { even.min(even / slope).max(shortest) } else { within((0.9 * here.f.abs() / slope).max(shortest)) }
+            if in_cut {
+                even.min(even / slope).max(shortest)
+            } else {
+                within((0.9 * here.f.abs() / slope).max(shortest))
+            }
         }
     }
 }
@@ -300,10 +378,20 @@ fn first_event(
         if after.cut.max(before.cut) > 0.0 || (solid && !entering) {
             return None;
         }
-        let inner = object.thickness_mm > 0.0 && source_value(scene, object, origin + direction * after.t) > 0.5 * object.thickness_mm;
-        Some((after.t, if entering && !inner { HitSide::Outside } else { HitSide::Inside }))
+        let inner = object.thickness_mm > 0.0
+            && source_value(scene, object, origin + direction * after.t) > 0.5 * object.thickness_mm;
+        Some((
+            after.t,
+            if entering && !inner {
+                HitSide::Outside
+            } else {
+                HitSide::Inside
+            },
+        ))
     });
-    let face_hit = face.filter(|(_, after)| after.f > 0.0).map(|(_, after)| (after.t, HitSide::Cut));
+    let face_hit = face
+        .filter(|(_, after)| after.f > 0.0)
+        .map(|(_, after)| (after.t, HitSide::Cut));
     match (surface_hit, face_hit) {
         (Some(s), Some(f)) => Some(if s.0 <= f.0 { s } else { f }),
         (s, f) => s.or(f),
@@ -312,7 +400,11 @@ fn first_event(
 
 /// The original f at a point of the deformed scene.
 fn source_value(scene: &Prepared, object: &SurfaceObject, p: Vec3) -> f32 {
-    let source = if object.rigid { p } else { scene.stack.source_and_alpha_unclipped(p).0 };
+    let source = if object.rigid {
+        p
+    } else {
+        scene.stack.source_and_alpha_unclipped(p).0
+    };
     object.implicit.as_ref().map_or(-1.0, |i| i.value(source))
 }
 
@@ -326,7 +418,11 @@ fn bisect(
     let first = is(&a);
     for _ in 0..BISECTION_STEPS {
         let middle = at(0.5 * (a.t + b.t));
-        if is(&middle) == first { a = middle } else { b = middle }
+        if is(&middle) == first {
+            a = middle
+        } else {
+            b = middle
+        }
     }
     (a, b)
 }
@@ -334,7 +430,12 @@ fn bisect(
 /// Unit normal of a hit, pointing out of the material.
 pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: HitSide) -> Vec3 {
     let jet = if object.rigid || scene.stack.is_empty() {
-        Jet { source: p, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 }
+        Jet {
+            source: p,
+            d_source_d_deformed: Mat3::IDENTITY,
+            cut: NearestCut::NONE,
+            alpha: 1.0,
+        }
     } else {
         scene.stack.jet(p)
     };
@@ -346,19 +447,36 @@ pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: HitSide) 
         }
         return cut.normal;
     }
-    let gradient = object.implicit.as_ref().map_or(Vec3::ZERO, |i| i.gradient(jet.source, object.cell_mm));
+    let gradient = object
+        .implicit
+        .as_ref()
+        .map_or(Vec3::ZERO, |i| i.gradient(jet.source, object.cell_mm));
     let outward = normalize_or(-(jet.d_source_d_deformed.transpose() * gradient), Vec3::ZERO);
-    if side == HitSide::Inside { -outward } else { outward }
+    if side == HitSide::Inside {
+        -outward
+    } else {
+        outward
+    }
 }
 
-fn shade_field(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32, side: HitSide) -> SurfaceHit {
+fn shade_field(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    origin: Vec3,
+    direction: Vec3,
+    t: f32,
+    side: HitSide,
+) -> SurfaceHit {
     let normal = normal(scene, object, origin + direction * t, side);
     let color = Vec3::from(match side {
         HitSide::Outside => object.look.color,
         HitSide::Inside => object.look.inside,
         HitSide::Cut => object.look.cut,
     });
-    SurfaceHit { t, color: light(scene, object, normal, direction, color) }
+    SurfaceHit {
+        t,
+        color: light(scene, object, normal, direction, color),
+    }
 }
 
 /// The interpolated normal at a ray's hit on a triangle.
@@ -368,10 +486,29 @@ fn triangle_normal(triangles: &Triangles, hit: &MeshHit) -> Vec3 {
     normalize_or(a * (1.0 - u - v) + b * u + c * v, a)
 }
 
-fn shade_triangle(scene: &Prepared, object: &SurfaceObject, triangles: &Triangles, hit: &MeshHit, direction: Vec3) -> SurfaceHit {
+fn shade_triangle(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    triangles: &Triangles,
+    hit: &MeshHit,
+    direction: Vec3,
+) -> SurfaceHit {
     let normal = triangle_normal(triangles, hit);
-    let color = Vec3::from(if hit.front { object.look.color } else { object.look.inside });
-    SurfaceHit { t: hit.t, color: light(scene, object, if hit.front { normal } else { -normal }, direction, color) }
+    let color = Vec3::from(if hit.front {
+        object.look.color
+    } else {
+        object.look.inside
+    });
+    SurfaceHit {
+        t: hit.t,
+        color: light(
+            scene,
+            object,
+            if hit.front { normal } else { -normal },
+            direction,
+            color,
+        ),
+    }
 }
 
 /// Blinn-Phong under the scene's light with the object's highlight. A normal that points slightly
@@ -382,7 +519,11 @@ fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3
     let to_light = scene.frame.to_light;
     let half = normalize_or(to_light - direction, to_light);
     let [specular, shininess] = object.look.highlight;
-    let light = BlinnPhong { specular, shininess, ..scene.light.blinn_phong() };
+    let light = BlinnPhong {
+        specular,
+        shininess,
+        ..scene.light.blinn_phong()
+    };
     let (diffuse, highlight) = light.shine(normal.dot(to_light), normal.dot(half));
     (color * diffuse + highlight).clamp(Vec3::ZERO, Vec3::ONE)
 }

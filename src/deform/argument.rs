@@ -12,7 +12,9 @@ const MAX_WHOLE: f32 = 16_777_216.0;
 pub(super) fn whole(v: f32) -> Result<usize, String> {
     match v {
         v if v < 0.0 || v.fract() != 0.0 => Err(format!("{v} is not a whole number from 0 on")),
-        v if v > MAX_WHOLE => Err(format!("{v} is too large; whole numbers up to {MAX_WHOLE} can be used here")),
+        v if v > MAX_WHOLE => Err(format!(
+            "{v} is too large; whole numbers up to {MAX_WHOLE} can be used here"
+        )),
         v => Ok(v as usize),
     }
 }
@@ -41,7 +43,13 @@ impl std::fmt::Display for Argument {
         const SHOWN: usize = 8;
         fn list<T: std::fmt::Display>(items: &[T]) -> String {
             let more = if items.len() > SHOWN { ",..." } else { "" };
-            items.iter().take(SHOWN).map(T::to_string).collect::<Vec<_>>().join(",") + more
+            items
+                .iter()
+                .take(SHOWN)
+                .map(T::to_string)
+                .collect::<Vec<_>>()
+                .join(",")
+                + more
         }
         match self {
             Self::Flag(v) => write!(f, "{v}"),
@@ -79,7 +87,12 @@ pub struct Arguments(pub BTreeMap<String, Argument>);
 
 impl<const N: usize> From<[(&str, Argument); N]> for Arguments {
     fn from(entries: [(&str, Argument); N]) -> Self {
-        Self(entries.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
+        Self(
+            entries
+                .into_iter()
+                .map(|(name, value)| (name.to_owned(), value))
+                .collect(),
+        )
     }
 }
 
@@ -119,12 +132,18 @@ impl Arguments {
     /// # Errors
     /// Any other word (the message names the closest known one).
     pub fn choice<'a>(&self, name: &str, valid_names: &[&'a str]) -> Result<&'a str> {
-        let Some(given) = self.text(name)? else { return Ok(valid_names[0]) };
-        valid_names
-            .iter()
-            .copied()
-            .find(|k| *k == given)
-            .ok_or_else(|| Error::value(name, format!("\"{given}\" is not known; {}", crate::error::suggestion(given, valid_names.iter().copied()))))
+        let Some(given) = self.text(name)? else {
+            return Ok(valid_names[0]);
+        };
+        valid_names.iter().copied().find(|k| *k == given).ok_or_else(|| {
+            Error::value(
+                name,
+                format!(
+                    "\"{given}\" is not known; {}",
+                    crate::error::suggestion(given, valid_names.iter().copied())
+                ),
+            )
+        })
     }
 
     /// Numbers; rows are concatenated.
@@ -137,7 +156,12 @@ impl Arguments {
             Some(Argument::Number(v)) => vec![*v],
             Some(Argument::Numbers(v)) => v.clone(),
             Some(Argument::Rows(rows)) => rows.concat(),
-            Some(other) => return Err(Error::value(name, format!("{other} is not a list of numbers; write numbers with commas between them"))),
+            Some(other) => {
+                return Err(Error::value(
+                    name,
+                    format!("{other} is not a list of numbers; write numbers with commas between them"),
+                ));
+            }
         };
         if numbers.iter().any(|v| !v.is_finite()) {
             return Err(Error::value(name, "holds a number that is not finite"));
@@ -162,8 +186,15 @@ impl Arguments {
     /// # Errors
     /// The value has another type.
     pub fn whole(&self, name: &str) -> Result<Option<Vec<usize>>> {
-        let Some(numbers) = self.numbers(name)? else { return Ok(None) };
-        numbers.into_iter().map(whole).collect::<Result<_, _>>().map(Some).map_err(|problem| Error::value(name, problem))
+        let Some(numbers) = self.numbers(name)? else {
+            return Ok(None);
+        };
+        numbers
+            .into_iter()
+            .map(whole)
+            .collect::<Result<_, _>>()
+            .map(Some)
+            .map_err(|problem| Error::value(name, problem))
     }
 
     /// true or false; false if not given.

@@ -25,7 +25,8 @@ impl PlacedMap {
     /// A box around the displacements of the points of a box.
     pub(super) fn displacement_bounds(&self, b: &Bounds) -> Bounds {
         let zero = Bounds::new(Vec3::ZERO, Vec3::ZERO);
-        self.displacement_range(b).map_or(zero, |m| if m.outside { m.all.union(&zero) } else { m.all })
+        self.displacement_range(b)
+            .map_or(zero, |m| if m.outside { m.all.union(&zero) } else { m.all })
     }
 
     /// The displacements and masks of the points of a box that lie in this map's cube, if any do.
@@ -42,25 +43,58 @@ impl PlacedMap {
         let range = self.map.bounds(inside.min, inside.max);
         let [low, high] = [range.min, range.max].map(|v| Vec3::from_slice(&v[..3]));
         let all = Bounds::new(low, high).transformed(&Affine3A::from_mat3(self.world_from_stored));
-        Some(DisplacementRange { all, mask: [range.min[3], range.max[3]], in_map, texel, outside: !self.domain().contains(&in_map) })
+        Some(DisplacementRange {
+            all,
+            mask: [range.min[3], range.max[3]],
+            in_map,
+            texel,
+            outside: !self.domain().contains(&in_map),
+        })
     }
 
     /// Bounds on the effect of this map on the points of a box that lie in its cube, if any do
     /// ([`crate::model`], "Empty space"), and whether some lie outside.
     fn affine_enclosure(&self, b: &Bounds) -> (Option<AffineEnclosure>, bool) {
-        let Some(DisplacementRange { all, mask, in_map, texel, outside }) = self.displacement_range(b) else {
+        let Some(DisplacementRange {
+            all,
+            mask,
+            in_map,
+            texel,
+            outside,
+        }) = self.displacement_range(b)
+        else {
             return (None, true);
         };
         if all.size().max_element() < FLAT_DISPLACEMENT * b.size().max_element() {
-            let affine_enclosure =
-                AffineEnclosure { all, mask, at_center: all.center(), slope: Mat3::ZERO, spread: Mat3::ZERO, remainder: all.size() * 0.5 };
+            let affine_enclosure = AffineEnclosure {
+                all,
+                mask,
+                at_center: all.center(),
+                slope: Mat3::ZERO,
+                spread: Mat3::ZERO,
+                remainder: all.size() * 0.5,
+            };
             return (Some(affine_enclosure), outside);
         }
         // Of the map as extended by its outermost texels, to avoid a jump within the box.
-        let at_center = self.world_from_stored * self.map.fetch(self.placement.map_from_world.transform_point3(b.center())).xyz();
+        let at_center = self.world_from_stored
+            * self
+                .map
+                .fetch(self.placement.map_from_world.transform_point3(b.center()))
+                .xyz();
         let [slope, spread] = self.slopes_within(&in_map);
         let texel_mm = self.placement.world_from_map.matrix3.abs() * Vec3A::from(texel);
-        (Some(AffineEnclosure { all, mask, at_center, slope, spread, remainder: (slope.abs() + spread) * Vec3::from(texel_mm) }), outside)
+        (
+            Some(AffineEnclosure {
+                all,
+                mask,
+                at_center,
+                slope,
+                spread,
+                remainder: (slope.abs() + spread) * Vec3::from(texel_mm),
+            }),
+            outside,
+        )
     }
 
     /// Whether some texel within one texel of a box has a mask below 1.
@@ -77,10 +111,16 @@ impl PlacedMap {
     /// Centre and half-width of the bounds on J_G - I over a box in map coordinates.
     fn slopes_within(&self, inside: &Bounds) -> [Mat3; 2] {
         let columns = self.map.slope_bounds(inside.min, inside.max);
-        let [middle, spread] = [|(low, high): (Vec3, Vec3)| (low + high) * 0.5, |(low, high): (Vec3, Vec3)| (high - low) * 0.5]
-            .map(|of| Mat3::from_cols(of(columns[0]), of(columns[1]), of(columns[2])));
+        let [middle, spread] = [
+            |(low, high): (Vec3, Vec3)| (low + high) * 0.5,
+            |(low, high): (Vec3, Vec3)| (high - low) * 0.5,
+        ]
+        .map(|of| Mat3::from_cols(of(columns[0]), of(columns[1]), of(columns[2])));
         let map_from_world = Mat3::from(self.placement.map_from_world.matrix3);
-        [self.world_from_stored * middle * map_from_world, self.world_from_stored.abs() * spread * map_from_world.abs()]
+        [
+            self.world_from_stored * middle * map_from_world,
+            self.world_from_stored.abs() * spread * map_from_world.abs(),
+        ]
     }
 }
 
@@ -115,7 +155,10 @@ struct AffineEnclosure {
 impl AffineEnclosure {
     /// For points outside every cube.
     const NONE: Self = Self {
-        all: Bounds { min: Vec3::ZERO, max: Vec3::ZERO },
+        all: Bounds {
+            min: Vec3::ZERO,
+            max: Vec3::ZERO,
+        },
         mask: [1.0; 2],
         at_center: Vec3::ZERO,
         slope: Mat3::ZERO,
@@ -127,7 +170,13 @@ impl AffineEnclosure {
     fn including_zero(&self) -> Self {
         let all = self.all.union(&Self::NONE.all);
         let mask = [self.mask[0].min(1.0), self.mask[1].max(1.0)];
-        Self { all, mask, at_center: all.center(), remainder: all.size() * 0.5, ..Self::NONE }
+        Self {
+            all,
+            mask,
+            at_center: all.center(),
+            remainder: all.size() * 0.5,
+            ..Self::NONE
+        }
     }
 
     /// For two maps that are added to each other.
@@ -146,7 +195,8 @@ impl AffineEnclosure {
     fn source(&self, b: &Bounds) -> Bounds {
         let (center, half) = (b.center() + self.at_center, b.size() * 0.5);
         let half = ((Mat3::IDENTITY + self.slope).abs() + self.spread) * half + self.remainder;
-        Bounds::new(b.min + self.all.min, b.max + self.all.max).intersection(&Bounds::new(center - half, center + half))
+        Bounds::new(b.min + self.all.min, b.max + self.all.max)
+            .intersection(&Bounds::new(center - half, center + half))
     }
 }
 
@@ -166,8 +216,16 @@ impl Stack {
     /// As [`Self::source_bounds`], in parts: the sources of points inside and outside a map's cube
     /// may be far apart.
     pub fn source_parts(&self, deformed: &Bounds, found: &mut dyn FnMut(&Bounds, [f32; 2])) {
-        let mut grown = |part: &Bounds, alpha: [f32; 2]| found(&part.grown(self.precompose_error_mm()), alpha);
-        self.parts_of(self.maps().len(), MAX_SPLITS, deformed, &AffineEnclosure::NONE, [1.0; 2], &mut grown);
+        let mut grown =
+            |part: &Bounds, alpha: [f32; 2]| found(&part.grown(self.precompose_error_mm()), alpha);
+        self.parts_of(
+            self.maps().len(),
+            MAX_SPLITS,
+            deformed,
+            &AffineEnclosure::NONE,
+            [1.0; 2],
+            &mut grown,
+        );
     }
 
     /// Largest distance between these sources and those of the maps, mm: the error bound of the
@@ -191,12 +249,22 @@ impl Stack {
             return found(at, alpha);
         };
         let mut go_on = |affine_enclosure: &AffineEnclosure, splits_left: u32| {
-            let alpha = [alpha[0].min(affine_enclosure.mask[0]), alpha[1].min(affine_enclosure.mask[1])];
+            let alpha = [
+                alpha[0].min(affine_enclosure.mask[0]),
+                alpha[1].min(affine_enclosure.mask[1]),
+            ];
             let together = together.sum(affine_enclosure);
             if map.added {
                 self.parts_of(count - 1, splits_left, at, &together, alpha, found);
             } else {
-                self.parts_of(count - 1, splits_left, &together.source(at), &AffineEnclosure::NONE, alpha, found);
+                self.parts_of(
+                    count - 1,
+                    splits_left,
+                    &together.source(at),
+                    &AffineEnclosure::NONE,
+                    alpha,
+                    found,
+                );
             }
         };
         match map.affine_enclosure(at) {
@@ -240,7 +308,8 @@ impl Stack {
         let (mut all, mut together) = (1.0f32, 1.0f32);
         for map in self.maps().iter().rev() {
             let [middle, half] = map.slopes_within(&map.domain());
-            together += spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
+            together +=
+                spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
             if !map.added {
                 all *= together;
                 together = 1.0;
@@ -277,14 +346,26 @@ mod tests {
     #[test]
     fn bounds_of_a_rotation_are_those_of_the_rotated_box() {
         let turn = Mat3::from_rotation_z(0.8);
-        let f = |x: Vec3| TexelSample { displacement: turn * (x - 0.5) - (x - 0.5), alpha: 1.0 };
-        let placement = Placement::new(Vec3::ZERO, Vec3::splat(60.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
-        let linear = Mat3::from(placement.world_from_map.matrix3) * turn * Mat3::from(placement.map_from_world.matrix3);
-        let map = PlacedMap::new(Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F32, f)), placement);
+        let f = |x: Vec3| TexelSample {
+            displacement: turn * (x - 0.5) - (x - 0.5),
+            alpha: 1.0,
+        };
+        let placement = Placement::new(Vec3::ZERO, Vec3::splat(60.0), Vec3::new(20.0, 40.0, -10.0))
+            .unwrap_or_else(|e| panic!("{e}"));
+        let linear = Mat3::from(placement.world_from_map.matrix3)
+            * turn
+            * Mat3::from(placement.map_from_world.matrix3);
+        let map = PlacedMap::new(
+            Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F32, f)),
+            placement,
+        );
         let b = Bounds::new(Vec3::new(-8.0, 2.0, 1.0), Vec3::new(-4.0, 5.0, 6.0));
         let (got, _) = Stack::new(vec![map]).source_bounds(&b);
         let want = b.transformed(&Affine3A::from_mat3(linear));
-        assert!(got.grown(1e-3).contains(&want) && want.grown(0.1).contains(&got), "{got:?} for {want:?}");
+        assert!(
+            got.grown(1e-3).contains(&want) && want.grown(0.1).contains(&got),
+            "{got:?} for {want:?}"
+        );
     }
 
     /// The work grows linearly with the number of maps, although a box may lie partly in the cube
@@ -292,7 +373,10 @@ mod tests {
     #[test]
     fn a_box_goes_on_as_few_parts() {
         let mut parts = 0;
-        super::super::stack::tests::stack().repeated(100).source_parts(&Bounds::new(Vec3::splat(-200.0), Vec3::splat(200.0)), &mut |_, _| parts += 1);
+        super::super::stack::tests::stack().repeated(100).source_parts(
+            &Bounds::new(Vec3::splat(-200.0), Vec3::splat(200.0)),
+            &mut |_, _| parts += 1,
+        );
         assert_eq!(parts, 1 << MAX_SPLITS);
     }
 
@@ -309,14 +393,25 @@ mod tests {
                 let p = Vec3::new((n % 20) as f32, (n / 20 % 20) as f32, (n / 400) as f32 * 2.0) * 4.1 - 40.0;
                 let jet = s.jet(p);
                 if !s.mask_varies(&Bounds::new(p - 1.5, p + 0.5)) {
-                    assert!(jet.alpha == 1.0 && jet.cut.distance_mm == f32::INFINITY, "{p}: {:?}", jet.cut);
+                    assert!(
+                        jet.alpha == 1.0 && jet.cut.distance_mm == f32::INFINITY,
+                        "{p}: {:?}",
+                        jet.cut
+                    );
                     clear += 1;
                 }
                 let own = spectral_norm(jet.d_source_d_deformed);
-                assert!(own <= s.lipschitz_bound() * 1.0001, "{p}: {own} of {}", s.lipschitz_bound());
+                assert!(
+                    own <= s.lipschitz_bound() * 1.0001,
+                    "{p}: {own} of {}",
+                    s.lipschitz_bound()
+                );
                 steepest = steepest.max(own / s.lipschitz_bound());
             }
         }
-        assert!(clear > 4000 && clear < 7900 && steepest > 0.1, "{clear} {steepest}");
+        assert!(
+            clear > 4000 && clear < 7900 && steepest > 0.1,
+            "{clear} {steepest}"
+        );
     }
 }

@@ -70,21 +70,50 @@ struct BackwardMap<'a> {
 ///
 /// # Errors
 /// A placement that is not invertible.
-pub fn stack(stack: &Stack, scene_box: &Bounds, resolution: Resolution, storage: Storage, evaluate: Evaluate) -> Result<Option<ComposedMap>> {
-    let Some(bounds) = cubes(stack) else { return Ok(None) };
+pub fn stack(
+    stack: &Stack,
+    scene_box: &Bounds,
+    resolution: Resolution,
+    storage: Storage,
+    evaluate: Evaluate,
+) -> Result<Option<ComposedMap>> {
+    let Some(bounds) = cubes(stack) else {
+        return Ok(None);
+    };
     let placement = Placement::new(bounds.center(), bounds.size(), Vec3::ZERO)?;
     let f = |p: Vec3| stack.source_and_alpha_unclipped(p);
     let many = |points: &[Vec3]| evaluate(stack, points);
-    search(&BackwardMap { source_and_alpha: &f, many: &many, scene_box: *scene_box }, &placement, resolution, storage).map(Some)
+    search(
+        &BackwardMap {
+            source_and_alpha: &f,
+            many: &many,
+            scene_box: *scene_box,
+        },
+        &placement,
+        resolution,
+        storage,
+    )
+    .map(Some)
 }
 
 /// Samples a mapping over a placement at a sufficient resolution.
-fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, storage: Storage) -> Result<ComposedMap> {
+fn search(
+    mapping: &BackwardMap,
+    placement: &Placement,
+    resolution: Resolution,
+    storage: Storage,
+) -> Result<ComposedMap> {
     let size_mm = placement.size_mm();
     let bound = match resolution {
         Resolution::Fixed(n) => {
             let finest = finest(size_mm, MAX_TEXELS);
-            let mut composed = sampled(mapping, placement, grid_for(size_mm, n.min(finest)), storage, LAST_PROBES)?;
+            let mut composed = sampled(
+                mapping,
+                placement,
+                grid_for(size_mm, n.min(finest)),
+                storage,
+                LAST_PROBES,
+            )?;
             composed.within = true;
             return Ok(composed);
         }
@@ -101,7 +130,10 @@ fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, 
             let (worst_mm, p99_mm) = error(mapping, &composed.placed, LAST_PROBES);
             (composed.worst_mm, composed.p99_mm) = (composed.worst_mm.max(worst_mm), p99_mm);
             if composed.worst_mm <= bound {
-                return Ok(ComposedMap { within: true, ..composed });
+                return Ok(ComposedMap {
+                    within: true,
+                    ..composed
+                });
             }
         }
         // A finer grid does not reduce the rounding of half precision.
@@ -121,24 +153,45 @@ fn search(mapping: &BackwardMap, placement: &Placement, resolution: Resolution, 
         composed = sampled(mapping, placement, grid_for(size_mm, texels), storage, PROBES)?;
         let finer = texels as f32 / before.1 as f32;
         let expected = before.0 * MIN_GAIN.powf(finer.log2());
-        in_vain = if composed.worst_mm > expected { in_vain + 1 } else { 0 };
+        in_vain = if composed.worst_mm > expected {
+            in_vain + 1
+        } else {
+            0
+        };
     }
 }
 
 /// The map of a mapping, with its error at `probes` points.
-fn sampled(mapping: &BackwardMap, placement: &Placement, size: [usize; 3], storage: Storage, probes: usize) -> Result<ComposedMap> {
+fn sampled(
+    mapping: &BackwardMap,
+    placement: &Placement,
+    size: [usize; 3],
+    storage: Storage,
+    probes: usize,
+) -> Result<ComposedMap> {
     let map = DisplacementMap::from_samples(size, storage, grid_samples(placement, size, mapping.many)?);
     let placed = PlacedMap::new(Arc::new(map), *placement);
     let (worst_mm, p99_mm) = error(mapping, &placed, probes);
-    Ok(ComposedMap { placed, worst_mm, p99_mm, within: false })
+    Ok(ComposedMap {
+        placed,
+        worst_mm,
+        p99_mm,
+        within: false,
+    })
 }
 
 /// Largest error and 99th percentile of a map inside the volume, mm.
 fn error(mapping: &BackwardMap, placed: &PlacedMap, probes: usize) -> (f32, f32) {
-    let (exact, composed) = (|p: &Vec3| (mapping.source_and_alpha)(*p), |p: &Vec3| placed.backward(*p));
+    let (exact, composed) = (
+        |p: &Vec3| (mapping.source_and_alpha)(*p),
+        |p: &Vec3| placed.backward(*p),
+    );
     let size = placed.map.size;
     let texel = (placed.placement.size_mm() / Vec3::from(size.map(|n| n.max(2) as f32 - 1.0))).max_element();
-    let comparison = Comparison { exact: &exact, scene_box: &mapping.scene_box };
+    let comparison = Comparison {
+        exact: &exact,
+        scene_box: &mapping.scene_box,
+    };
     let errors = comparison.errors(&composed, &placed.bounds_in_world(), probes, 0.25 * texel);
     worst_and_p99(errors.into_iter().map(|(e, _)| e).collect())
 }
@@ -167,7 +220,9 @@ pub fn transform_maps(
         TransformStep::BSpline(b) => fits(&b.fine_grid()),
     });
     if resolution.is_some() || !(single || strength == 1.0) || !all_fit {
-        return Ok(vec![self::transform(transform, scene_box, strength, resolution, storage)?.placed]);
+        return Ok(vec![
+            self::transform(transform, scene_box, strength, resolution, storage)?.placed,
+        ]);
     }
     // Each step's map covers everything that the remaining steps carry into the scene.
     let mut bounds = *scene_box;
@@ -177,7 +232,11 @@ pub fn transform_maps(
             TransformStep::Field(f) => {
                 let placement = placement_of(&f.grid)?;
                 let mut placed = sampled_grid(f, None, &placement, storage, strength);
-                placed.reach = Vec3::from(f.grid.size.map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }));
+                placed.reach = Vec3::from(
+                    f.grid
+                        .size
+                        .map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }),
+                );
                 placed
             }
             TransformStep::BSpline(b) => {
@@ -185,7 +244,9 @@ pub fn transform_maps(
                 let sampled = super::transform::VectorField::sampled(grid, |p| b.source_from_deformed(p));
                 sampled_grid(&sampled, None, &placement_of(&grid)?, storage, strength)
             }
-            TransformStep::Affine(m) => self::transform(&Transform::affine(*m), &bounds, strength, None, storage)?.placed,
+            TransformStep::Affine(m) => {
+                self::transform(&Transform::affine(*m), &bounds, strength, None, storage)?.placed
+            }
         });
         bounds = bounds.union(&before(step, &bounds, strength));
     }
@@ -199,11 +260,18 @@ fn before(step: &TransformStep, bounds: &Bounds, strength: f32) -> Bounds {
             // A partial step towards an affine is itself an affine, whose inverse may reach further
             // than that of the full step.
             let t = f64::from(strength);
-            let part = glam::DAffine3 { matrix3: glam::DMat3::IDENTITY * (1.0 - t) + m.matrix3 * t, translation: m.translation * t };
+            let part = glam::DAffine3 {
+                matrix3: glam::DMat3::IDENTITY * (1.0 - t) + m.matrix3 * t,
+                translation: m.translation * t,
+            };
             bounds.transformed(&to_f32(&part.inverse()))
         }
-        TransformStep::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
-        TransformStep::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
+        TransformStep::Field(v) => {
+            bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max))
+        }
+        TransformStep::BSpline(b) => {
+            bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max))
+        }
     }
 }
 
@@ -215,13 +283,23 @@ fn before(step: &TransformStep, bounds: &Bounds, strength: f32) -> Bounds {
 ///
 /// # Errors
 /// A placement that is not invertible: a singular matrix.
-pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resolution: Option<usize>, storage: Storage) -> Result<ComposedMap> {
+pub fn transform(
+    transform: &Transform,
+    scene_box: &Bounds,
+    strength: f32,
+    resolution: Option<usize>,
+    storage: Storage,
+) -> Result<ComposedMap> {
     let f = |p: Vec3| {
         let d = transform.source_from_deformed(p.as_dvec3()) - p.as_dvec3();
         (p + d.as_vec3() * strength, 1.0)
     };
     let many = |points: &[Vec3]| Ok(points.par_iter().map(|p| f(*p)).collect());
-    let mapping = BackwardMap { source_and_alpha: &f, many: &many, scene_box: *scene_box };
+    let mapping = BackwardMap {
+        source_and_alpha: &f,
+        many: &many,
+        scene_box: *scene_box,
+    };
     // Backwards through the chain: where the scene's contents can appear.
     let mut bounds = *scene_box;
     for step in transform.steps.iter().rev() {
@@ -230,7 +308,9 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
     if !(bounds.min.is_finite() && bounds.max.is_finite()) {
         return Err(crate::Error::value(
             "progress",
-            format!("{strength} of the way to this transform everything falls into a plane; choose another strength"),
+            format!(
+                "{strength} of the way to this transform everything falls into a plane; choose another strength"
+            ),
         ));
     }
     let bounds = bounds.union(scene_box);
@@ -246,5 +326,10 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, strength: f32, resol
         });
         (bounds.size().max_element() / spacing as f32).ceil() as usize + 1
     });
-    search(&mapping, &placement, Resolution::Fixed(texels.clamp(8, 1024)), storage)
+    search(
+        &mapping,
+        &placement,
+        Resolution::Fixed(texels.clamp(8, 1024)),
+        storage,
+    )
 }

@@ -75,13 +75,21 @@ impl CutShape {
                 let beyond = q.y.abs().atan2(q.x) - self.half_angle;
                 // Distance to the nearer side plane; at more than a right angle from it, to the
                 // edge.
-                let side = if beyond.abs() < std::f32::consts::FRAC_PI_2 { r * beyond.sin() } else { r * beyond.signum() };
+                let side = if beyond.abs() < std::f32::consts::FRAC_PI_2 {
+                    r * beyond.sin()
+                } else {
+                    r * beyond.signum()
+                };
                 side.max(r - self.half.x).max(q.z.abs() - self.half.z)
             }
             CutShapeKind::Cone => {
                 let v = Vec2::new(q.z, q.xy().length());
                 let axis = Vec2::from_angle(self.half_angle);
-                if v.dot(axis) > 0.0 { axis.perp_dot(v) } else { v.length() }
+                if v.dot(axis) > 0.0 {
+                    axis.perp_dot(v)
+                } else {
+                    v.length()
+                }
             }
         };
         if self.inverted { -outside } else { outside }
@@ -168,31 +176,52 @@ impl CutShapes {
         let f = |t: f32| self.signed_distance_mm(origin + direction * t);
         let middle = f(t);
         if middle.abs() > half {
-            return RetainedPart { at: t, share: if middle > 0.0 { 1.0 } else { 0.0 } };
+            return RetainedPart {
+                at: t,
+                share: if middle > 0.0 { 1.0 } else { 0.0 },
+            };
         }
         let (low, high) = (f(t - half), f(t + half));
         let (a, b) = match (low >= 0.0, middle >= 0.0, high >= 0.0) {
             (true, true, true) => (t - half, t + half),
             (true, true, false) => (t - half, root(&f, t, middle, t + half, high)),
             (false, true, true) => (root(&f, t, middle, t - half, low), t + half),
-            (false, true, false) => (root(&f, t, middle, t - half, low), root(&f, t, middle, t + half, high)),
+            (false, true, false) => (
+                root(&f, t, middle, t - half, low),
+                root(&f, t, middle, t + half, high),
+            ),
             // If both ends are retained, the nearer one is sampled; the fraction counts both.
             (true, false, true) => {
-                let (a, b) = (root(&f, t - half, low, t, middle), root(&f, t + half, high, t, middle));
-                return RetainedPart { at: 0.5 * (t - half + a), share: (a - t + half + t + half - b) / step };
+                let (a, b) = (
+                    root(&f, t - half, low, t, middle),
+                    root(&f, t + half, high, t, middle),
+                );
+                return RetainedPart {
+                    at: 0.5 * (t - half + a),
+                    share: (a - t + half + t + half - b) / step,
+                };
             }
             (true, false, false) => (t - half, root(&f, t - half, low, t, middle)),
             (false, false, true) => (root(&f, t + half, high, t, middle), t + half),
             (false, false, false) => return RetainedPart { at: t, share: 0.0 },
         };
-        RetainedPart { at: 0.5 * (a + b), share: (b - a) / step }
+        RetainedPart {
+            at: 0.5 * (a + b),
+            share: (b - a) / step,
+        }
     }
 }
 
 /// The sign change of a function between `outside` (where it is not negative) and `cut` (where it
 /// is), by regula falsi, which finds a plane in one step.
 #[inline(always)]
-fn root(f: &impl Fn(f32) -> f32, mut outside: f32, mut outside_value: f32, mut cut: f32, mut at_cut: f32) -> f32 {
+fn root(
+    f: &impl Fn(f32) -> f32,
+    mut outside: f32,
+    mut outside_value: f32,
+    mut cut: f32,
+    mut at_cut: f32,
+) -> f32 {
     for _ in 0..ROOT_STEPS {
         let t = outside + (cut - outside) * (outside_value / (outside_value - at_cut)).clamp(0.0, 1.0);
         let v = f(t);
@@ -214,7 +243,9 @@ mod tests {
     use proptest::prelude::*;
 
     fn shape(shape: CutShapeKind) -> CutShape {
-        let turn = Affine3A::from_rotation_x(0.4) * Affine3A::from_rotation_z(-0.7) * Affine3A::from_translation(Vec3::new(3.0, -2.0, 5.0));
+        let turn = Affine3A::from_rotation_x(0.4)
+            * Affine3A::from_rotation_z(-0.7)
+            * Affine3A::from_translation(Vec3::new(3.0, -2.0, 5.0));
         CutShape {
             shape,
             local_from_world: turn,
@@ -226,8 +257,14 @@ mod tests {
         }
     }
 
-    const SHAPES: [CutShapeKind; 6] =
-        [CutShapeKind::HalfSpace, CutShapeKind::Box, CutShapeKind::Ellipsoid, CutShapeKind::Cylinder, CutShapeKind::Wedge, CutShapeKind::Cone];
+    const SHAPES: [CutShapeKind; 6] = [
+        CutShapeKind::HalfSpace,
+        CutShapeKind::Box,
+        CutShapeKind::Ellipsoid,
+        CutShapeKind::Cylinder,
+        CutShapeKind::Wedge,
+        CutShapeKind::Cone,
+    ];
 
     proptest! {
         /// The retained lengths of a ray's steps sum to the result of a very fine march, however
@@ -261,11 +298,17 @@ mod tests {
 
     #[test]
     fn planes_are_exact_along_the_ray() {
-        let cuts = CutShapes::new(vec![CutShape { local_from_world: Affine3A::IDENTITY, half: Vec3::ZERO, ..shape(CutShapeKind::HalfSpace) }]);
+        let cuts = CutShapes::new(vec![CutShape {
+            local_from_world: Affine3A::IDENTITY,
+            half: Vec3::ZERO,
+            ..shape(CutShapeKind::HalfSpace)
+        }]);
         let direction = Vec3::new(0.6, 0.0, 0.8);
         for offset in [0.0, 0.1, 0.37, 0.5, 0.93] {
             let origin = Vec3::new(0.0, 0.0, -8.0 - offset);
-            let path: f32 = (0..30).map(|i| cuts.retained_part(origin, direction, i as f32 + 0.5, 1.0).share).sum();
+            let path: f32 = (0..30)
+                .map(|i| cuts.retained_part(origin, direction, i as f32 + 0.5, 1.0).share)
+                .sum();
             assert!((path - (8.0 + offset) / 0.8).abs() < 1e-3, "{path} at {offset}");
         }
     }
@@ -279,13 +322,35 @@ mod tests {
         };
         let (top, side) = (plane(Vec3::Z), plane(Vec3::X));
         let or = CutShapes::new(vec![top, side]);
-        let intersects = CutShapes::new(vec![top, CutShape { joins_previous: true, intersects: true, ..side }]);
+        let intersects = CutShapes::new(vec![
+            top,
+            CutShape {
+                joins_previous: true,
+                intersects: true,
+                ..side
+            },
+        ]);
         // The top as well as the side, against the edge between them alone.
-        for (x, z, in_or, in_and) in [(-1.0, -1.0, true, true), (1.0, -1.0, false, true), (-1.0, 1.0, false, true), (1.0, 1.0, false, false)] {
+        for (x, z, in_or, in_and) in [
+            (-1.0, -1.0, true, true),
+            (1.0, -1.0, false, true),
+            (-1.0, 1.0, false, true),
+            (1.0, 1.0, false, false),
+        ] {
             let p = Vec3::new(x, 0.0, z);
-            assert_eq!((or.signed_distance_mm(p) > 0.0, intersects.signed_distance_mm(p) > 0.0), (in_or, in_and), "{p}");
+            assert_eq!(
+                (
+                    or.signed_distance_mm(p) > 0.0,
+                    intersects.signed_distance_mm(p) > 0.0
+                ),
+                (in_or, in_and),
+                "{p}"
+            );
         }
-        let inverted = CutShapes::new(vec![CutShape { inverted: true, ..top }]);
+        let inverted = CutShapes::new(vec![CutShape {
+            inverted: true,
+            ..top
+        }]);
         assert!(inverted.signed_distance_mm(Vec3::Z) > 0.0 && inverted.signed_distance_mm(-Vec3::Z) < 0.0);
     }
 }

@@ -46,7 +46,8 @@ pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option
         RegionSource::Body(iso) => value >= *iso,
     };
     let mut mask = Array3::default((size[2], size[1], size[0]));
-    Zip::indexed(&mut mask).par_for_each(|(k, j, i), m| *m = inside(volume.value(i * stride, j * stride, k * stride)));
+    Zip::indexed(&mut mask)
+        .par_for_each(|(k, j, i), m| *m = inside(volume.value(i * stride, j * stride, k * stride)));
     let spacing = (volume.spacing_mm() * stride as f64).as_vec3();
     if matches!(region, RegionSource::Body(_)) {
         mask = body(largest_part(&mask), spacing);
@@ -58,9 +59,18 @@ pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option
     let to_inside = squared_distance(&mask, spacing.into());
     mask.par_mapv_inplace(|m| !m);
     let to_outside = squared_distance(&mask, spacing.into());
-    let signed = Zip::from(&to_outside).and(&to_inside).par_map_collect(|o, i| o.sqrt() - i.sqrt());
+    let signed = Zip::from(&to_outside)
+        .and(&to_inside)
+        .par_map_collect(|o, i| o.sqrt() - i.sqrt());
     let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
-    Some(DistanceGrid::new(if smooth { keeping_sides(smoothed(signed.clone()), &signed) } else { signed }, world_from_grid))
+    Some(DistanceGrid::new(
+        if smooth {
+            keeping_sides(smoothed(signed.clone()), &signed)
+        } else {
+            signed
+        },
+        world_from_grid,
+    ))
 }
 
 /// Small labels as a bit table; larger ones as a set.
@@ -78,31 +88,50 @@ impl LabelSet {
         let (small, large): (Vec<usize>, Vec<usize>) = labels.iter().partition(|l| **l < Self::SMALL);
         let mut bits = vec![0u64; small.iter().max().map_or(0, |l| l / 64 + 1)];
         small.iter().for_each(|l| bits[l / 64] |= 1 << (l % 64));
-        Self { bits, large: large.into_iter().collect() }
+        Self {
+            bits,
+            large: large.into_iter().collect(),
+        }
     }
 
     #[inline(always)]
     fn holds(&self, value: f64) -> bool {
         let label = value as usize;
         let listed = |bits: &u64| bits >> (label % 64) & 1 == 1;
-        label as f64 == value && (self.bits.get(label / 64).is_some_and(listed) || !self.large.is_empty() && self.large.contains(&label))
+        label as f64 == value
+            && (self.bits.get(label / 64).is_some_and(listed)
+                || !self.large.is_empty() && self.large.contains(&label))
     }
 }
 
 /// Smoothing must not lose structures one voxel thick: every point stays on its side.
 fn keeping_sides(mut smooth: Array3<f32>, signed: &Array3<f32>) -> Array3<f32> {
-    Zip::from(&mut smooth).and(signed).par_for_each(|s, d| *s = if *d > 0.0 { s.max(0.25 * d) } else { s.min(0.25 * d) });
+    Zip::from(&mut smooth).and(signed).par_for_each(|s, d| {
+        *s = if *d > 0.0 {
+            s.max(0.25 * d)
+        } else {
+            s.min(0.25 * d)
+        }
+    });
     smooth
 }
 
 /// A body without its openings and cavities: closed by [`CLOSING_MM`] (so that a nostril or an ear
 /// does not connect its inside to the outside), then filled.
 fn body(mask: Array3<bool>, spacing: Vec3) -> Array3<bool> {
-    let beyond = |set: &Array3<bool>| squared_distance(set, spacing.into()).mapv(|d| d > CLOSING_MM * CLOSING_MM);
+    let beyond =
+        |set: &Array3<bool>| squared_distance(set, spacing.into()).mapv(|d| d > CLOSING_MM * CLOSING_MM);
     let open = beyond(&mask);
     let (nk, nj, ni) = mask.dim();
-    let is_at_face = |&(k, j, i): &(usize, usize, usize)| [(k, nk), (j, nj), (i, ni)].iter().any(|(c, n)| *c == 0 || c + 1 == *n);
-    let shell = ndarray::indices((nk, nj, ni)).into_iter().filter(is_at_face).map(|(k, j, i)| [i, j, k]);
+    let is_at_face = |&(k, j, i): &(usize, usize, usize)| {
+        [(k, nk), (j, nj), (i, ni)]
+            .iter()
+            .any(|(c, n)| *c == 0 || c + 1 == *n)
+    };
+    let shell = ndarray::indices((nk, nj, ni))
+        .into_iter()
+        .filter(is_at_face)
+        .map(|(k, j, i)| [i, j, k]);
     let outside = connected(&open, shell);
     // The growth is taken back, but no voxel of the body itself.
     beyond(&outside) | mask
@@ -112,13 +141,15 @@ fn body(mask: Array3<bool>, spacing: Vec3) -> Array3<bool> {
 fn smoothed(mut values: Array3<f32>) -> Array3<f32> {
     for axis in [Axis(2), Axis(1), Axis(0)] {
         let mut filtered = values.clone();
-        Zip::from(filtered.lanes_mut(axis)).and(values.lanes(axis)).par_for_each(|mut to, from| {
-            let last = from.len() - 1;
-            for c in 0..=last {
-                let (before, after) = (from[c.saturating_sub(1)], from[(c + 1).min(last)]);
-                to[c] = 0.25 * before + 0.5 * from[c] + 0.25 * after;
-            }
-        });
+        Zip::from(filtered.lanes_mut(axis))
+            .and(values.lanes(axis))
+            .par_for_each(|mut to, from| {
+                let last = from.len() - 1;
+                for c in 0..=last {
+                    let (before, after) = (from[c.saturating_sub(1)], from[(c + 1).min(last)]);
+                    to[c] = 0.25 * before + 0.5 * from[c] + 0.25 * after;
+                }
+            });
         values = filtered;
     }
     values
@@ -132,18 +163,27 @@ mod tests {
 
     /// A ball of 20 mm on an anisotropic, oblique grid.
     fn ball() -> Volume {
-        let world_from_voxel = DAffine3::from_rotation_z(0.4) * DAffine3::from_scale(DVec3::new(1.0, 1.5, 2.0));
+        let world_from_voxel =
+            DAffine3::from_rotation_z(0.4) * DAffine3::from_scale(DVec3::new(1.0, 1.5, 2.0));
         let size = [61, 41, 31];
         let center = world_from_voxel.transform_point3(DVec3::new(30.0, 20.0, 15.0));
         let voxels: Vec<u8> = (0..size[0] * size[1] * size[2])
             .map(|n| {
-                let p = world_from_voxel.transform_point3(DVec3::new((n % 61) as f64, (n / 61 % 41) as f64, (n / 2501) as f64));
+                let p = world_from_voxel.transform_point3(DVec3::new(
+                    (n % 61) as f64,
+                    (n / 61 % 41) as f64,
+                    (n / 2501) as f64,
+                ));
                 let r = p.distance(center);
                 // A cavity in the middle.
                 if r < 20.0 && r > 4.0 { 100 } else { 0 }
             })
             .collect();
-        Volume::new(crate::volume::Voxels::new(size, voxels), Rescale::NONE, world_from_voxel)
+        Volume::new(
+            crate::volume::Voxels::new(size, voxels),
+            Rescale::NONE,
+            world_from_voxel,
+        )
     }
 
     #[test]
@@ -170,9 +210,17 @@ mod tests {
     #[test]
     fn a_ball_has_its_distance_and_its_cavity_counts_only_for_a_mask() {
         let volume = ball();
-        let center = volume.world_from_voxel.transform_point3(DVec3::new(30.0, 20.0, 15.0)).as_vec3();
+        let center = volume
+            .world_from_voxel
+            .transform_point3(DVec3::new(30.0, 20.0, 15.0))
+            .as_vec3();
         let body = of_region(&volume, &RegionSource::Body(50.0), true).unwrap_or_else(|| panic!());
-        for (direction, r) in [(Vec3::X, 5.0), (Vec3::Y, 12.0), (Vec3::new(0.6, 0.0, 0.8), 18.0), (Vec3::Z, 24.0)] {
+        for (direction, r) in [
+            (Vec3::X, 5.0),
+            (Vec3::Y, 12.0),
+            (Vec3::new(0.6, 0.0, 0.8), 18.0),
+            (Vec3::Z, 24.0),
+        ] {
             let d = body.sample(center + direction * r);
             assert!((d - (20.0 - r)).abs() < 1.2, "{d} at {r} mm");
         }
@@ -183,6 +231,8 @@ mod tests {
         let mask = of_region(&volume, &RegionSource::Mask, true).unwrap_or_else(|| panic!());
         assert!(mask.sample(center) < 0.0 && body.sample(center) > 15.0);
         assert!(of_region(&volume, &RegionSource::Labels(&[7]), true).is_none());
-        assert!(of_region(&volume, &RegionSource::Labels(&[100]), true).is_some_and(|f| f.sample(center) < 0.0));
+        assert!(
+            of_region(&volume, &RegionSource::Labels(&[100]), true).is_some_and(|f| f.sample(center) < 0.0)
+        );
     }
 }

@@ -104,7 +104,11 @@ impl Solver {
         for n in 0..count {
             let (c, p) = (at(n), place(n));
             let on_face = (0..3).any(|a| c[a] == 0 || c[a] + 1 == setup.nodes[a]);
-            free[n] = !on_face && !setup.fixed.iter().any(|(center, radius)| p.distance(*center) <= *radius);
+            free[n] = !on_face
+                && !setup
+                    .fixed
+                    .iter()
+                    .any(|(center, radius)| p.distance(*center) <= *radius);
             if let Some(g) = setup.grabs.iter().position(|g| p.distance(g.center) <= g.radius)
                 && free[n]
             {
@@ -118,9 +122,11 @@ impl Solver {
             if caught[g] > 0 {
                 continue;
             }
-            let nearest = (0..count)
-                .filter(|n| free[*n])
-                .min_by(|a, b| place(*a).distance_squared(grab.center).total_cmp(&place(*b).distance_squared(grab.center)));
+            let nearest = (0..count).filter(|n| free[*n]).min_by(|a, b| {
+                place(*a)
+                    .distance_squared(grab.center)
+                    .total_cmp(&place(*b).distance_squared(grab.center))
+            });
             if let Some(n) = nearest.filter(|n| (place(*n) - grab.center).abs().cmple(step).all()) {
                 free[n] = false;
                 displacement[n] = grab.offset.as_dvec3();
@@ -134,7 +140,10 @@ impl Solver {
                 (da < 0.0) != (db < 0.0) && (a.lerp(b, da / (da - db)) - i.center).length() <= i.radius
             })
         };
-        let neighbours: Vec<[i32; 3]> = (-1..=1).flat_map(|z| (-1..=1).flat_map(move |y| (-1..=1).map(move |x| [x, y, z]))).skip(14).collect();
+        let neighbours: Vec<[i32; 3]> = (-1..=1)
+            .flat_map(|z| (-1..=1).flat_map(move |y| (-1..=1).map(move |x| [x, y, z])))
+            .skip(14)
+            .collect();
         let mut joints = Vec::with_capacity(13 * count);
         for n in 0..count {
             let c = at(n);
@@ -150,7 +159,12 @@ impl Solver {
                 }
                 let way = (b - a).as_dvec3();
                 let stiffness = f64::from((setup.stiffness)(a.lerp(b, 0.5)).max(1e-3)) / way.length_squared();
-                joints.push(Joint { a: n, b: m, along: way.normalize_or_zero(), stiffness });
+                joints.push(Joint {
+                    a: n,
+                    b: m,
+                    along: way.normalize_or_zero(),
+                    stiffness,
+                });
             }
         }
         let mut solver = Self {
@@ -179,7 +193,10 @@ impl Solver {
             f[j.a] += force;
             f[j.b] -= force;
         }
-        f.iter_mut().zip(&self.free).filter(|(_, free)| !**free).for_each(|(f, _)| *f = DVec3::ZERO);
+        f.iter_mut()
+            .zip(&self.free)
+            .filter(|(_, free)| !**free)
+            .for_each(|(f, _)| *f = DVec3::ZERO);
         f
     }
 
@@ -225,12 +242,19 @@ impl Solver {
     /// Elastic energy, in the solver's units.
     pub fn energy(&self) -> f64 {
         let relative = |j: &Joint| self.displacement[j.b] - self.displacement[j.a];
-        self.joints.iter().map(|j| 0.5 * relative(j).dot(j.force(relative(j)))).sum()
+        self.joints
+            .iter()
+            .map(|j| 0.5 * relative(j).dot(j.force(relative(j))))
+            .sum()
     }
 
     /// Unbalanced forces, as a fraction of those at the start.
     pub fn residual(&self) -> f64 {
-        if self.start > 0.0 { dot(&self.unbalanced, &self.unbalanced).sqrt() / self.start } else { 0.0 }
+        if self.start > 0.0 {
+            dot(&self.unbalanced, &self.unbalanced).sqrt() / self.start
+        } else {
+            0.0
+        }
     }
 
     /// Displacement of the nodes, trilinearly interpolated; zero outside the box.
@@ -273,10 +297,21 @@ mod tests {
     use super::*;
 
     fn solver(grabs: &[Grab], incisions: &[Incision]) -> Solver {
-        Solver::new(&Setup { size_mm: Vec3::splat(60.0), nodes: [13; 3], grabs, fixed: &[], incisions, stiffness: &|_| 1.0 })
+        Solver::new(&Setup {
+            size_mm: Vec3::splat(60.0),
+            nodes: [13; 3],
+            grabs,
+            fixed: &[],
+            incisions,
+            stiffness: &|_| 1.0,
+        })
     }
 
-    const GRAB: Grab = Grab { center: Vec3::ZERO, radius: 8.0, offset: Vec3::new(0.0, 0.0, 9.0) };
+    const GRAB: Grab = Grab {
+        center: Vec3::ZERO,
+        radius: 8.0,
+        offset: Vec3::new(0.0, 0.0, 9.0),
+    };
 
     #[test]
     fn nothing_dragged_stays_at_rest() {
@@ -304,7 +339,10 @@ mod tests {
         assert!(near > 1.0 && near < 9.0, "{near}");
         assert_eq!(s.displacement(DVec3::new(30.0, 0.0, 0.0)), DVec3::ZERO);
         // Symmetric about the axis of the pull.
-        let (a, b) = (s.displacement(DVec3::new(12.0, 0.0, 0.0)), s.displacement(DVec3::new(-12.0, 0.0, 0.0)));
+        let (a, b) = (
+            s.displacement(DVec3::new(12.0, 0.0, 0.0)),
+            s.displacement(DVec3::new(-12.0, 0.0, 0.0)),
+        );
         assert!((a.z - b.z).abs() < 1e-3, "{a} {b}");
     }
 
@@ -321,8 +359,16 @@ mod tests {
 
     #[test]
     fn an_incision_parts_what_is_pulled_aside() {
-        let cut = Incision { center: Vec3::ZERO, normal: Vec3::X, radius: 22.0 };
-        let pull = Grab { center: Vec3::new(7.5, 0.0, 0.0), radius: 6.0, offset: Vec3::new(6.0, 0.0, 0.0) };
+        let cut = Incision {
+            center: Vec3::ZERO,
+            normal: Vec3::X,
+            radius: 22.0,
+        };
+        let pull = Grab {
+            center: Vec3::new(7.5, 0.0, 0.0),
+            radius: 6.0,
+            offset: Vec3::new(6.0, 0.0, 0.0),
+        };
         let (mut whole, mut parted) = (solver(&[pull], &[]), solver(&[pull], &[cut]));
         whole.settle(300, 1e-6);
         parted.settle(300, 1e-6);

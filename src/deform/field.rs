@@ -47,7 +47,10 @@ impl MapDefinition {
     pub fn sample(&self, x: Vec3) -> TexelSample {
         let local = (x - 0.5) * self.cube_mm;
         let b = self.field.backward(local);
-        TexelSample { displacement: (b.source - local) / self.cube_mm, alpha: (0.5 + 0.5 * b.cut_distance_mm / self.ramp_mm).clamp(0.0, 1.0) }
+        TexelSample {
+            displacement: (b.source - local) / self.cube_mm,
+            alpha: (0.5 + 0.5 * b.cut_distance_mm / self.ramp_mm).clamp(0.0, 1.0),
+        }
     }
 
     /// The formula, if the field is one.

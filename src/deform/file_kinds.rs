@@ -18,20 +18,40 @@ pub const FILE_KINDS: &[FileKind] = &[
         name: "field",
         about: "a registration transform or displacement field; progress=0..1",
         settings: &[
-            Setting { name: "path", form: SettingFormat::Files, about: "file, or several files applied in order (from deformed to source)" },
-            Setting { name: "moving", form: SettingFormat::File, about: "the moving image, for FSL files" },
-            Setting { name: "reference", form: SettingFormat::File, about: "the reference image of the registration, for FSL files" },
+            Setting {
+                name: "path",
+                form: SettingFormat::Files,
+                about: "file, or several files applied in order (from deformed to source)",
+            },
+            Setting {
+                name: "moving",
+                form: SettingFormat::File,
+                about: "the moving image, for FSL files",
+            },
+            Setting {
+                name: "reference",
+                form: SettingFormat::File,
+                about: "the reference image of the registration, for FSL files",
+            },
             Setting {
                 name: "convention",
                 form: SettingFormat::OneOf(&["lps", "ras", "fsl", "fsl-absolute"]),
                 about: "vector convention (lps, ras, fsl or fsl-absolute) if the file does not state it",
             },
-            Setting { name: "invert", form: SettingFormat::Flag, about: "true uses the inverse" },
+            Setting {
+                name: "invert",
+                form: SettingFormat::Flag,
+                about: "true uses the inverse",
+            },
         ],
     },
     FileKind {
         name: "map",
         about: "a displacement map made by incise map; center, size or rotate override its placement",
-        settings: &[Setting { name: "path", form: SettingFormat::File, about: "file" }],
+        settings: &[Setting {
+            name: "path",
+            form: SettingFormat::File,
+            about: "file",
+        }],
     },
 ];

@@ -40,7 +40,10 @@ pub struct Formula {
 impl Formula {
     /// A formula of at most [`MAX_FORMULA_NUMBERS`] numbers.
     pub fn new(kind: FormulaKind, given: &[f32]) -> Self {
-        assert!(given.len() <= MAX_FORMULA_NUMBERS, "a formula has at most {MAX_FORMULA_NUMBERS} numbers");
+        assert!(
+            given.len() <= MAX_FORMULA_NUMBERS,
+            "a formula has at most {MAX_FORMULA_NUMBERS} numbers"
+        );
         let mut numbers = [0.0; MAX_FORMULA_NUMBERS];
         numbers.iter_mut().zip(given).for_each(|(to, from)| *to = *from);
         Self { kind, numbers }

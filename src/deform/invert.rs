@@ -102,7 +102,12 @@ pub fn point(forward: &impl Fn(DVec3) -> DVec3, y: DVec3, guess: DVec3, h: f64, 
         }
     }
     let determinant = jacobian(forward, x, h).determinant();
-    Solution { source: x, residual, determinant, found: residual <= tolerance && determinant > 0.0 }
+    Solution {
+        source: x,
+        residual,
+        determinant,
+        found: residual <= tolerance && determinant > 0.0,
+    }
 }
 
 /// The accuracy of an inverse.
@@ -135,12 +140,22 @@ pub struct Inverse {
 impl InversionReport {
     /// The statistics of the residuals, without those of points not found.
     fn of(residuals: &[f32], found: &[bool]) -> Self {
-        let mut found_residuals: Vec<f32> = residuals.iter().zip(found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
-        let mut report = Self { points: residuals.len(), not_found: residuals.len() - found_residuals.len(), ..Self::default() };
+        let mut found_residuals: Vec<f32> = residuals
+            .iter()
+            .zip(found)
+            .filter(|(_, f)| **f)
+            .map(|(r, _)| *r)
+            .collect();
+        let mut report = Self {
+            points: residuals.len(),
+            not_found: residuals.len() - found_residuals.len(),
+            ..Self::default()
+        };
         if found_residuals.is_empty() {
             return report;
         }
-        report.mean_mm = found_residuals.iter().map(|r| f64::from(*r)).sum::<f64>() / found_residuals.len() as f64;
+        report.mean_mm =
+            found_residuals.iter().map(|r| f64::from(*r)).sum::<f64>() / found_residuals.len() as f64;
         let rank = |share: f64| ((found_residuals.len() - 1) as f64 * share).round() as usize;
         let [p95, p99] = [rank(0.95), rank(0.99)];
         // Percentiles without a full sort: each is searched for among the values above the previous
@@ -151,7 +166,9 @@ impl InversionReport {
             0 => report.p95_mm,
             n => f64::from(*above.select_nth_unstable_by(n - 1, f32::total_cmp).1),
         };
-        report.max_mm = above.iter().fold(report.p95_mm, |most, r| most.max(f64::from(*r)));
+        report.max_mm = above
+            .iter()
+            .fold(report.p95_mm, |most, r| most.max(f64::from(*r)));
         report
     }
 }
@@ -165,7 +182,12 @@ impl Inverse {
         let placement = placement_of(&self.field.grid)?;
         let mut placed = sampled_grid(&self.field, Some(&self.found), &placement, storage, strength);
         // As in the field that was inverted: up to the faces of its outermost voxels.
-        placed.reach = Vec3::from(self.field.grid.size.map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }));
+        placed.reach = Vec3::from(
+            self.field
+                .grid
+                .size
+                .map(|n| if n > 1 { 0.5 / (n - 1) as f32 } else { 0.0 }),
+        );
         Ok(placed)
     }
 }
@@ -181,7 +203,11 @@ pub fn field(field: &VectorField) -> Inverse {
     let forward = |x: DVec3| x + field.at_voxel(field.voxel_from_world(x)).as_dvec3();
     by_rows(&field.grid, |row, mut to| {
         if field.grid.size.iter().all(|&n| n >= 2) {
-            with_simd(Newton { field, row, to: to.reborrow() });
+            with_simd(Newton {
+                field,
+                row,
+                to: to.reborrow(),
+            });
         }
         InversionRow::new(&forward, &field.grid, row).fill(to);
     })
@@ -198,7 +224,11 @@ struct InverseRow<'a> {
 
 impl InverseRow<'_> {
     fn reborrow(&mut self) -> InverseRow<'_> {
-        InverseRow { displacements: self.displacements, residuals: self.residuals, found: self.found }
+        InverseRow {
+            displacements: self.displacements,
+            residuals: self.residuals,
+            found: self.found,
+        }
     }
 
     fn set(&mut self, n: usize, displacement: Vec3, residual: f32, found: bool) {
@@ -217,9 +247,22 @@ fn by_rows(grid: &GridGeometry, row: impl Fn(usize, InverseRow) + Sync) -> Inver
         .zip(residuals.par_chunks_mut(nx))
         .zip(found.par_chunks_mut(nx))
         .enumerate()
-        .for_each(|(n, ((displacements, residuals), found))| row(n, InverseRow { displacements, residuals, found }));
+        .for_each(|(n, ((displacements, residuals), found))| {
+            row(
+                n,
+                InverseRow {
+                    displacements,
+                    residuals,
+                    found,
+                },
+            )
+        });
     let report = InversionReport::of(&residuals, &found);
-    Inverse { field: VectorField::new(*grid, displacements), found, report }
+    Inverse {
+        field: VectorField::new(*grid, displacements),
+        found,
+        report,
+    }
 }
 
 /// The shortest distance between neighbouring voxels, mm.
@@ -240,7 +283,13 @@ struct InversionRow<'a, F> {
 
 impl<'a, F: Fn(DVec3) -> DVec3> InversionRow<'a, F> {
     fn new(forward: &'a F, grid: &'a GridGeometry, row: usize) -> Self {
-        Self { forward, grid, row, displacement: DVec3::ZERO, voxel_mm: voxel_mm(grid) }
+        Self {
+            forward,
+            grid,
+            row,
+            displacement: DVec3::ZERO,
+            voxel_mm: voxel_mm(grid),
+        }
     }
 
     /// Solves the points that are not found yet.
@@ -258,7 +307,11 @@ impl<'a, F: Fn(DVec3) -> DVec3> InversionRow<'a, F> {
 
     fn solve(&mut self, n: usize) -> Solution {
         let ny = self.grid.size[1];
-        let y = self.grid.world_from_voxel.transform_point3(DVec3::new(n as f64, (self.row % ny) as f64, (self.row / ny) as f64));
+        let y = self.grid.world_from_voxel.transform_point3(DVec3::new(
+            n as f64,
+            (self.row % ny) as f64,
+            (self.row / ny) as f64,
+        ));
         let (h, tolerance) = (0.25 * self.voxel_mm, TOLERANCE_VOXELS * self.voxel_mm);
         let mut s = point(self.forward, y, y + self.displacement, h, tolerance);
         if !s.found {
@@ -297,11 +350,18 @@ impl SimdKernel for Newton<'_> {
         let [nx, ny, nz] = self.field.grid.size;
         let world_from_voxel = self.field.grid.world_from_voxel.matrix3.as_mat3();
         let [mx, my, mz] = world_from_voxel.to_cols_array_2d().map(Vec3::from);
-        let (mx, my, mz) = (Vec3x8::splat(simd, mx), Vec3x8::splat(simd, my), Vec3x8::splat(simd, mz));
+        let (mx, my, mz) = (
+            Vec3x8::splat(simd, mx),
+            Vec3x8::splat(simd, my),
+            Vec3x8::splat(simd, mz),
+        );
         let least = NEAR_FOLD * world_from_voxel.determinant().abs();
         let sense = world_from_voxel.determinant().signum();
         let tolerance = (TOLERANCE_VOXELS * voxel_mm(&self.field.grid)) as f32;
-        let (y, z) = (f32x8::splat(simd, (self.row % ny) as f32), f32x8::splat(simd, (self.row / ny) as f32));
+        let (y, z) = (
+            f32x8::splat(simd, (self.row % ny) as f32),
+            f32x8::splat(simd, (self.row / ny) as f32),
+        );
         // Offset from the point to its source, voxels.
         let mut way = Vec3x8::splat(simd, Vec3::ZERO);
         for first in (0..nx).step_by(LANES) {
@@ -309,13 +369,18 @@ impl SimdKernel for Newton<'_> {
             for (n, x) in x.iter_mut().enumerate() {
                 *x = (first + n) as f32;
             }
-            let here = Vec3x8 { x: f32x8::load_array(simd, x), y, z };
+            let here = Vec3x8 {
+                x: f32x8::load_array(simd, x),
+                y,
+                z,
+            };
             let mut settled = here.x.simd_lt(-1.0);
             let mut residual = here.x;
             for _ in 0..LANE_STEPS {
                 let p = here + way;
                 let cells = Cells::of(p, self.field.grid.size, 0);
-                let (u, [ux, uy, uz]) = mix_with_slopes(simd, flat(&self.field.vectors), self.field.grid.size, &cells);
+                let (u, [ux, uy, uz]) =
+                    mix_with_slopes(simd, flat(&self.field.vectors), self.field.grid.size, &cells);
                 let error = way.mapped(&world_from_voxel) + u;
                 residual = error.length();
                 let (a, b, c) = (mx + ux, my + uy, mz + uz);
@@ -330,7 +395,11 @@ impl SimdKernel for Newton<'_> {
                 if going.all_false() {
                     break;
                 }
-                let step = Vec3x8 { x: error.dot(bc), y: a.dot(error.cross(c)), z: a.dot(b.cross(error)) };
+                let step = Vec3x8 {
+                    x: error.dot(bc),
+                    y: a.dot(error.cross(c)),
+                    z: a.dot(b.cross(error)),
+                };
                 let step = step * (f32x8::splat(simd, 1.0) / determinant);
                 way = Vec3x8::select(going, way - step, way);
             }
@@ -358,8 +427,12 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, resolution: Option<u
     for step in &transform.steps {
         bounds = match step {
             TransformStep::Affine(m) => bounds.transformed(&crate::math::to_f32(m)),
-            TransformStep::Field(v) => bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max)),
-            TransformStep::BSpline(b) => bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max)),
+            TransformStep::Field(v) => {
+                bounds.grown(v.vectors.par_iter().map(|d| d.length()).reduce(|| 0.0, f32::max))
+            }
+            TransformStep::BSpline(b) => {
+                bounds.grown(b.coefficients.iter().map(|d| d.length()).fold(0.0, f32::max))
+            }
         };
     }
     let bounds = bounds.union(scene_box);
@@ -369,11 +442,19 @@ pub fn transform(transform: &Transform, scene_box: &Bounds, resolution: Option<u
         let m = g.world_from_voxel.matrix3;
         m.x_axis.length().min(m.y_axis.length()).min(m.z_axis.length())
     });
-    let points = resolution.unwrap_or((longest / spacing) as usize + 1).clamp(8, 256);
+    let points = resolution
+        .unwrap_or((longest / spacing) as usize + 1)
+        .clamp(8, 256);
     let step = longest / (points - 1) as f64;
     let grid = GridGeometry {
-        size: bounds.size().to_array().map(|s| (f64::from(s) / step).ceil() as usize + 1),
-        world_from_voxel: DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(step)), translation: bounds.min.as_dvec3() },
+        size: bounds
+            .size()
+            .to_array()
+            .map(|s| (f64::from(s) / step).ceil() as usize + 1),
+        world_from_voxel: DAffine3 {
+            matrix3: DMat3::from_diagonal(DVec3::splat(step)),
+            translation: bounds.min.as_dvec3(),
+        },
     };
     Ok(function(&|x| transform.source_from_deformed(x), &grid))
 }
@@ -385,7 +466,10 @@ mod tests {
     fn grid(n: usize) -> GridGeometry {
         GridGeometry {
             size: [n; 3],
-            world_from_voxel: DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(80.0 / (n - 1) as f64)), translation: DVec3::splat(-40.0) },
+            world_from_voxel: DAffine3 {
+                matrix3: DMat3::from_diagonal(DVec3::splat(80.0 / (n - 1) as f64)),
+                translation: DVec3::splat(-40.0),
+            },
         }
     }
 
@@ -402,7 +486,11 @@ mod tests {
         let inverse = function(&|p| twist(p, 1.0), &grid(33));
         assert_eq!(inverse.report.not_found, 0, "{:?}", inverse.report);
         for n in (0..33 * 33 * 33).step_by(97) {
-            let y = inverse.field.grid.world_from_voxel.transform_point3(DVec3::new((n % 33) as f64, (n / 33 % 33) as f64, (n / 1089) as f64));
+            let y = inverse.field.grid.world_from_voxel.transform_point3(DVec3::new(
+                (n % 33) as f64,
+                (n / 33 % 33) as f64,
+                (n / 1089) as f64,
+            ));
             let x = y + flat(&inverse.field.vectors)[n].as_dvec3();
             assert!(x.distance(twist(y, -1.0)) < 0.01, "{y}");
         }
@@ -412,26 +500,59 @@ mod tests {
     /// same inverse, and few points left to the slow path.
     #[test]
     fn lanes_invert_alike() {
-        let axes = DMat3::from_cols(DVec3::new(1.3, 0.2, 0.0), DVec3::new(-0.3, 1.1, 0.1), DVec3::new(0.1, 0.0, 2.0));
+        let axes = DMat3::from_cols(
+            DVec3::new(1.3, 0.2, 0.0),
+            DVec3::new(-0.3, 1.1, 0.1),
+            DVec3::new(0.1, 0.0, 2.0),
+        );
         let size = [29, 23, 19];
-        let grid = GridGeometry { size, world_from_voxel: DAffine3 { matrix3: axes, translation: DVec3::new(-20.0, 5.0, 7.0) } };
+        let grid = GridGeometry {
+            size,
+            world_from_voxel: DAffine3 {
+                matrix3: axes,
+                translation: DVec3::new(-20.0, 5.0, 7.0),
+            },
+        };
         let wave = |n: usize| {
             let [x, y, z] = [n % 29, n / 29 % 23, n / 667].map(|i| i as f32);
-            let window = (x / 28.0 * std::f32::consts::PI).sin() * (y / 22.0 * std::f32::consts::PI).sin() * (z / 18.0 * std::f32::consts::PI).sin();
+            let window = (x / 28.0 * std::f32::consts::PI).sin()
+                * (y / 22.0 * std::f32::consts::PI).sin()
+                * (z / 18.0 * std::f32::consts::PI).sin();
             Vec3::new((0.3 * y).sin(), (0.2 * z).cos(), (0.25 * x).sin()) * (2.5 * window)
         };
         let field = VectorField::new(grid, (0..29 * 23 * 19).map(wave).collect());
         let forward = |x: DVec3| x + field.at_voxel(field.voxel_from_world(x)).as_dvec3();
         let (fast, slow) = (super::field(&field), function(&forward, &grid));
         assert_eq!(fast.found, slow.found);
-        assert!(fast.report.not_found == 0 && fast.report.max_mm <= TOLERANCE_VOXELS * voxel_mm(&grid), "{:?}", fast.report);
+        assert!(
+            fast.report.not_found == 0 && fast.report.max_mm <= TOLERANCE_VOXELS * voxel_mm(&grid),
+            "{:?}",
+            fast.report
+        );
         for (n, (a, b)) in fast.field.vectors.iter().zip(&slow.field.vectors).enumerate() {
             assert!(a.distance(*b) < 5e-4, "{n}: {a} for {b}");
-            let y = grid.world_from_voxel.transform_point3(DVec3::new((n % 29) as f64, (n / 29 % 23) as f64, (n / 667) as f64));
-            assert!(forward(y + a.as_dvec3()).distance(y) < 1.5 * TOLERANCE_VOXELS * voxel_mm(&grid), "{n}");
+            let y = grid.world_from_voxel.transform_point3(DVec3::new(
+                (n % 29) as f64,
+                (n / 29 % 23) as f64,
+                (n / 667) as f64,
+            ));
+            assert!(
+                forward(y + a.as_dvec3()).distance(y) < 1.5 * TOLERANCE_VOXELS * voxel_mm(&grid),
+                "{n}"
+            );
         }
-        let by_lanes = by_rows(&grid, |row, to| with_simd(Newton { field: &field, row, to }));
-        assert!(10 * by_lanes.report.not_found < field.vectors.len(), "{:?}", by_lanes.report);
+        let by_lanes = by_rows(&grid, |row, to| {
+            with_simd(Newton {
+                field: &field,
+                row,
+                to,
+            })
+        });
+        assert!(
+            10 * by_lanes.report.not_found < field.vectors.len(),
+            "{:?}",
+            by_lanes.report
+        );
     }
 
     /// Percentiles equal those of the sorted residuals, of few points and of many; points not found
@@ -441,14 +562,35 @@ mod tests {
         for points in [1, 2, 20, 101, 5003] {
             let residuals: Vec<f32> = (0..points).map(|n| (n * 7919 % 5003) as f32).collect();
             let found: Vec<bool> = (0..points).map(|n| n % 7 != 3).collect();
-            let mut found_residuals: Vec<f32> = residuals.iter().zip(&found).filter(|(_, f)| **f).map(|(r, _)| *r).collect();
+            let mut found_residuals: Vec<f32> = residuals
+                .iter()
+                .zip(&found)
+                .filter(|(_, f)| **f)
+                .map(|(r, _)| *r)
+                .collect();
             found_residuals.sort_unstable_by(f32::total_cmp);
-            let at = |share: f64| f64::from(found_residuals[((found_residuals.len() - 1) as f64 * share).round() as usize]);
+            let at = |share: f64| {
+                f64::from(found_residuals[((found_residuals.len() - 1) as f64 * share).round() as usize])
+            };
             let report = InversionReport::of(&residuals, &found);
-            assert_eq!([report.p95_mm, report.p99_mm, report.max_mm], [at(0.95), at(0.99), at(1.0)], "{points}");
-            assert_eq!((report.points, report.not_found), (points, points - found_residuals.len()));
+            assert_eq!(
+                [report.p95_mm, report.p99_mm, report.max_mm],
+                [at(0.95), at(0.99), at(1.0)],
+                "{points}"
+            );
+            assert_eq!(
+                (report.points, report.not_found),
+                (points, points - found_residuals.len())
+            );
         }
-        assert_eq!(InversionReport::of(&[1.0], &[false]), InversionReport { points: 1, not_found: 1, ..InversionReport::default() });
+        assert_eq!(
+            InversionReport::of(&[1.0], &[false]),
+            InversionReport {
+                points: 1,
+                not_found: 1,
+                ..InversionReport::default()
+            }
+        );
     }
 
     #[test]
@@ -456,7 +598,9 @@ mod tests {
         // Turned inside out along x: every point is folded.
         let inverse = function(&|p: DVec3| DVec3::new(-p.x, p.y, p.z), &grid(9));
         assert_eq!(inverse.report.not_found, inverse.report.points);
-        let placed = inverse.placed(Storage::F16, 1.0).unwrap_or_else(|e| panic!("{e}"));
+        let placed = inverse
+            .placed(Storage::F16, 1.0)
+            .unwrap_or_else(|e| panic!("{e}"));
         assert!(placed.backward(Vec3::new(3.0, 2.0, 1.0)).1 < 0.5);
     }
 }

@@ -48,12 +48,19 @@ fn lock<T>(m: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Library {
     /// The library of a scene that shows `volume`; relative paths start at `folder`.
     pub fn new(volume: Arc<Volume>, folder: PathBuf) -> Self {
-        Self { volume: Some(volume), folder, ..Self::default() }
+        Self {
+            volume: Some(volume),
+            folder,
+            ..Self::default()
+        }
     }
 
     /// The library of a scene without a volume.
     pub fn without_volume(folder: PathBuf) -> Self {
-        Self { folder, ..Self::default() }
+        Self {
+            folder,
+            ..Self::default()
+        }
     }
 
     /// The folder at which relative paths start.
@@ -66,7 +73,9 @@ impl Library {
     /// # Errors
     /// The scene has none.
     pub fn volume(&self) -> Result<&Arc<Volume>> {
-        self.volume.as_ref().ok_or_else(|| Error::value("volume", "this deformation follows a volume, and there is none"))
+        self.volume
+            .as_ref()
+            .ok_or_else(|| Error::value("volume", "this deformation follows a volume, and there is none"))
     }
 
     /// Records a notice for the user, once.
@@ -84,7 +93,11 @@ impl Library {
 
     /// A path resolved for this process.
     pub fn path(&self, path: &str) -> PathBuf {
-        if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path_of(path)) }
+        if path.starts_with("phantom:") {
+            PathBuf::from(path)
+        } else {
+            self.folder.join(path_of(path))
+        }
     }
 
     /// A volume by path.
@@ -111,7 +124,11 @@ impl Library {
             return Ok(map.clone());
         }
         let volume = load::volume(&path, &ReadOptions::default(), &Watch::NONE)?;
-        let map = Arc::new(volume.into_label_map().map_err(|problem| Error::file(&path, problem))?);
+        let map = Arc::new(
+            volume
+                .into_label_map()
+                .map_err(|problem| Error::file(&path, problem))?,
+        );
         self.note_distance("the label map", &path, &map);
         lock(&self.label_maps).insert(path, map.clone());
         Ok(map)
@@ -121,7 +138,10 @@ impl Library {
     pub(crate) fn note_distance(&self, what: &str, path: &Path, other: &Volume) {
         let Some(volume) = &self.volume else { return };
         let (own, other) = (volume.bounds_in_world(), other.bounds_in_world());
-        let gap = (other.min - own.max).max(own.min - other.max).max(glam::Vec3::ZERO).length();
+        let gap = (other.min - own.max)
+            .max(own.min - other.max)
+            .max(glam::Vec3::ZERO)
+            .length();
         if gap > 0.0 {
             let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
             self.notice(format!(
@@ -137,7 +157,9 @@ impl Library {
     /// # Errors
     /// Errors of the readers; no path.
     pub fn transform(&self, settings: &Arguments) -> Result<Arc<Transform>> {
-        let paths = settings.texts("path")?.ok_or_else(|| Error::value("path", "is missing; name a file"))?;
+        let paths = settings
+            .texts("path")?
+            .ok_or_else(|| Error::value("path", "is missing; name a file"))?;
         let key = format!("{:?}", settings.0);
         if let Some(transform) = lock(&self.transforms).get(&key) {
             return Ok(transform.clone());
@@ -153,12 +175,23 @@ impl Library {
         let mut whole: Option<Transform> = None;
         for path in paths {
             let path = self.path(&path);
-            let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+            let ending = path
+                .extension()
+                .map(|e| e.to_string_lossy().to_ascii_lowercase())
+                .unwrap_or_default();
             let matrix = !matches!(ending.as_str(), "gz" | "nii" | "nrrd" | "nhdr" | "mha" | "mhd");
             let context = if matrix {
-                TransformContext { moving: moving.or(own), reference: reference.or(own), convention: None }
+                TransformContext {
+                    moving: moving.or(own),
+                    reference: reference.or(own),
+                    convention: None,
+                }
             } else {
-                TransformContext { moving, reference, convention: settings.text("convention")? }
+                TransformContext {
+                    moving,
+                    reference,
+                    convention: settings.text("convention")?,
+                }
             };
             let one = Transform::load(&path, &context)?;
             whole = Some(match whole {
@@ -186,14 +219,30 @@ impl Library {
     ///
     /// # Errors
     /// No voxel has any of the labels (the message names the existing ones).
-    pub fn label_distance(&self, settings: &Arguments, setting: &str, wanted: &[usize]) -> Result<Arc<DistanceGrid>> {
+    pub fn label_distance(
+        &self,
+        settings: &Arguments,
+        setting: &str,
+        wanted: &[usize],
+    ) -> Result<Arc<DistanceGrid>> {
         let volume = self.labels(settings)?;
         let file = settings.text("labels")?;
         let key = format!("{file:?} {wanted:?}");
-        let whose = if file.is_some() { "the label map" } else { "the volume (used as the label map, since labels=FILE is not set)" };
+        let whose = if file.is_some() {
+            "the label map"
+        } else {
+            "the volume (used as the label map, since labels=FILE is not set)"
+        };
         self.distance(key, || {
-            of_region(&volume, &RegionSource::Labels(wanted), true)
-                .ok_or_else(|| Error::value(setting, format!("{wanted:?}: no voxel has this label; {whose} contains {}", some_labels(&volume))))
+            of_region(&volume, &RegionSource::Labels(wanted), true).ok_or_else(|| {
+                Error::value(
+                    setting,
+                    format!(
+                        "{wanted:?}: no voxel has this label; {whose} contains {}",
+                        some_labels(&volume)
+                    ),
+                )
+            })
         })
     }
 
@@ -212,8 +261,12 @@ impl Library {
                 let volume = self.load_volume(path)?;
                 self.note_distance("the mask", &self.path(path), &volume);
                 self.distance(format!("mask {path}"), || {
-                    of_region(&volume, &RegionSource::Mask, true)
-                        .ok_or_else(|| Error::value("mask", format!("{path} has no surface: it is all inside or all outside")))
+                    of_region(&volume, &RegionSource::Mask, true).ok_or_else(|| {
+                        Error::value(
+                            "mask",
+                            format!("{path} has no surface: it is all inside or all outside"),
+                        )
+                    })
                 })
             }
             (None, None, iso) => {
@@ -222,7 +275,12 @@ impl Library {
                 self.distance(format!("iso {iso}"), || {
                     of_region(volume, &RegionSource::Body(iso), true).ok_or_else(|| {
                         let [low, high] = volume.range;
-                        Error::value("iso", format!("the volume has no surface at {iso}; its values range from {low} to {high}"))
+                        Error::value(
+                            "iso",
+                            format!(
+                                "the volume has no surface at {iso}; its values range from {low} to {high}"
+                            ),
+                        )
                     })
                 })
             }
@@ -235,7 +293,11 @@ impl Library {
     ///
     /// # Errors
     /// Errors of making it.
-    pub fn map(&self, key: String, make: impl FnOnce() -> Result<Arc<DisplacementMap>>) -> Result<Arc<DisplacementMap>> {
+    pub fn map(
+        &self,
+        key: String,
+        make: impl FnOnce() -> Result<Arc<DisplacementMap>>,
+    ) -> Result<Arc<DisplacementMap>> {
         {
             let mut cached = lock(&self.maps);
             if let Some(at) = cached.iter().position(|(k, _)| *k == key) {
@@ -276,7 +338,11 @@ impl Library {
         Ok(made)
     }
 
-    fn distance(&self, key: String, make: impl FnOnce() -> Result<DistanceGrid>) -> Result<Arc<DistanceGrid>> {
+    fn distance(
+        &self,
+        key: String,
+        make: impl FnOnce() -> Result<DistanceGrid>,
+    ) -> Result<Arc<DistanceGrid>> {
         if let Some(field) = lock(&self.distances).get(&key) {
             return Ok(field.clone());
         }

@@ -47,18 +47,36 @@ impl PlacedMap {
         // changes no norm.
         let world_from_map = Mat3::from(world_from_map.matrix3);
         let x = world_from_map.x_axis.normalize_or(Vec3::X);
-        let y = world_from_map.y_axis.reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
+        let y = world_from_map
+            .y_axis
+            .reject_from_normalized(x)
+            .normalize_or(x.any_orthonormal_vector());
         let turned = Mat3::from_cols(x, y, x.cross(y));
-        let (linear, inverse) = (turned.transpose() * world_from_map * self.map.scale, Mat3::from(map_from_world.matrix3) * turned);
-        let shared = MapConstants { linear, inverse, norm_of_inverse: spectral_norm(inverse), per_unit: Vec3::from(cells.map(|n| n as f32)) };
+        let (linear, inverse) = (
+            turned.transpose() * world_from_map * self.map.scale,
+            Mat3::from(map_from_world.matrix3) * turned,
+        );
+        let shared = MapConstants {
+            linear,
+            inverse,
+            norm_of_inverse: spectral_norm(inverse),
+            per_unit: Vec3::from(cells.map(|n| n as f32)),
+        };
         let mut bounds = vec![0.0; cells.iter().product()];
-        bounds.par_chunks_mut(cells[0]).enumerate().for_each(|(n, bounds)| {
-            let (j, k) = (n % cells[1], n / cells[1]);
-            // A flat axis uses the same texel on both sides.
-            let (up, on) = ((j + 1).min(size[1] - 1), (k + 1).min(size[2] - 1));
-            let row = |j: usize, k: usize| &texels[(k * size[1] + j) * size[0]..][..size[0]];
-            with_simd(CellRow { rows: [row(j, k), row(up, k), row(j, on), row(up, on)], shared: &shared, bounds });
-        });
+        bounds
+            .par_chunks_mut(cells[0])
+            .enumerate()
+            .for_each(|(n, bounds)| {
+                let (j, k) = (n % cells[1], n / cells[1]);
+                // A flat axis uses the same texel on both sides.
+                let (up, on) = ((j + 1).min(size[1] - 1), (k + 1).min(size[2] - 1));
+                let row = |j: usize, k: usize| &texels[(k * size[1] + j) * size[0]..][..size[0]];
+                with_simd(CellRow {
+                    rows: [row(j, k), row(up, k), row(j, on), row(up, on)],
+                    shared: &shared,
+                    bounds,
+                });
+            });
         MinMaxPyramid::new(cells, 1, |i, j, k| [bounds[(k * cells[1] + j) * cells[0] + i]])
     }
 }
@@ -88,7 +106,11 @@ impl SimdKernel for CellRow<'_> {
     #[inline(always)]
     #[allow(clippy::needless_range_loop, reason = "lanes have numbers")]
     fn run<S: Simd>(self, simd: S) {
-        let Self { rows: [a, b, c, d], shared, bounds } = self;
+        let Self {
+            rows: [a, b, c, d],
+            shared,
+            bounds,
+        } = self;
         let mut first = 0;
         while first < bounds.len() {
             let bound = bound_of_eight(simd, [a, b, c, d], first, shared);
@@ -114,7 +136,13 @@ fn displacements<S: Simd>(simd: S, row: &[Vec4], first: usize, linear: &Mat3) ->
 
 /// The mean of four differences, and the largest squared deviation from it.
 #[inline(always)]
-fn spread<S: Simd>(a: Vec3x8<S>, b: Vec3x8<S>, c: Vec3x8<S>, d: Vec3x8<S>, per_unit: f32) -> (Vec3x8<S>, f32x8<S>) {
+fn spread<S: Simd>(
+    a: Vec3x8<S>,
+    b: Vec3x8<S>,
+    c: Vec3x8<S>,
+    d: Vec3x8<S>,
+    per_unit: f32,
+) -> (Vec3x8<S>, f32x8<S>) {
     let token = a.x.token();
     let mean = (a + b + c + d) * f32x8::splat(token, 0.25);
     let (a, b, c, d) = (a - mean, b - mean, c - mean, d - mean);
@@ -128,7 +156,9 @@ fn spread<S: Simd>(a: Vec3x8<S>, b: Vec3x8<S>, c: Vec3x8<S>, d: Vec3x8<S>, per_u
 /// polynomial is increasing and convex there.
 #[inline(always)]
 fn largest_eigenvalue<S: Simd>([a, b, c]: [f32x8<S>; 3], [ab, ac, bc]: [f32x8<S>; 3]) -> f32x8<S> {
-    let of_rows = (a + ab.abs() + ac.abs()).max(b + ab.abs() + bc.abs()).max(c + ac.abs() + bc.abs());
+    let of_rows = (a + ab.abs() + ac.abs())
+        .max(b + ab.abs() + bc.abs())
+        .max(c + ac.abs() + bc.abs());
     let trace = a + b + c;
     let minors = a * b - ab * ab + (a * c - ac * ac) + (b * c - bc * bc);
     let determinant = a * (b * c - bc * bc) - ab * (ab * c - bc * ac) + ac * (ab * bc - b * ac);
@@ -147,19 +177,45 @@ fn largest_eigenvalue<S: Simd>([a, b, c]: [f32x8<S>; 3], [ab, ac, bc]: [f32x8<S>
 #[inline(always)]
 fn column<S: Simd>(unit: Vec3, [x, y, z]: [Vec3x8<S>; 3], v: Vec3) -> Vec3x8<S> {
     let token = x.x.token();
-    let (p, q, r) = (f32x8::splat(token, v.x), f32x8::splat(token, v.y), f32x8::splat(token, v.z));
+    let (p, q, r) = (
+        f32x8::splat(token, v.x),
+        f32x8::splat(token, v.y),
+        f32x8::splat(token, v.z),
+    );
     Vec3x8::splat(token, unit) + x * p + y * q + z * r
 }
 
 /// Bounds on |J_G| in eight cells of a row: |M| by [`largest_eigenvalue`], plus the contribution of
 /// the deviations.
 #[inline(always)]
-fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, shared: &MapConstants) -> f32x8<S> {
-    let MapConstants { linear, inverse, norm_of_inverse, per_unit } = shared;
-    let (a0, a1) = (displacements(simd, a, first, linear), displacements(simd, a, first + 1, linear));
-    let (b0, b1) = (displacements(simd, b, first, linear), displacements(simd, b, first + 1, linear));
-    let (c0, c1) = (displacements(simd, c, first, linear), displacements(simd, c, first + 1, linear));
-    let (d0, d1) = (displacements(simd, d, first, linear), displacements(simd, d, first + 1, linear));
+fn bound_of_eight<S: Simd>(
+    simd: S,
+    [a, b, c, d]: [&[Vec4]; 4],
+    first: usize,
+    shared: &MapConstants,
+) -> f32x8<S> {
+    let MapConstants {
+        linear,
+        inverse,
+        norm_of_inverse,
+        per_unit,
+    } = shared;
+    let (a0, a1) = (
+        displacements(simd, a, first, linear),
+        displacements(simd, a, first + 1, linear),
+    );
+    let (b0, b1) = (
+        displacements(simd, b, first, linear),
+        displacements(simd, b, first + 1, linear),
+    );
+    let (c0, c1) = (
+        displacements(simd, c, first, linear),
+        displacements(simd, c, first + 1, linear),
+    );
+    let (d0, d1) = (
+        displacements(simd, d, first, linear),
+        displacements(simd, d, first + 1, linear),
+    );
     let (x, of_x) = spread(a1 - a0, b1 - b0, c1 - c0, d1 - d0, per_unit.x);
     let (y, of_y) = spread(b0 - a0, b1 - a1, d0 - c0, d1 - c1, per_unit.y);
     let (z, of_z) = spread(c0 - a0, c1 - a1, d0 - b0, d1 - b1, per_unit.z);
@@ -173,7 +229,14 @@ fn bound_of_eight<S: Simd>(simd: S, [a, b, c, d]: [&[Vec4]; 4], first: usize, sh
 impl<'a> LipschitzBounds<'a> {
     /// Prepares the bounds of a stack.
     pub fn new(stack: &'a Stack) -> Self {
-        Self { stack, of_maps: stack.maps().iter().map(|m| m.map.has_displacement().then(|| m.slopes())).collect() }
+        Self {
+            stack,
+            of_maps: stack
+                .maps()
+                .iter()
+                .map(|m| m.map.has_displacement().then(|| m.slopes()))
+                .collect(),
+        }
     }
 
     /// A bound on the distance between two source points per millimetre between their deformed
@@ -182,10 +245,18 @@ impl<'a> LipschitzBounds<'a> {
         let (mut b, mut at) = (*deformed, *deformed);
         let (mut whole, mut here, mut together) = (1.0f32, 1.0f32, true);
         for (map, slopes) in self.stack.maps().iter().zip(&self.of_maps).rev() {
-            let (own, moved) = slopes.as_ref().map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| map.lipschitz_over(&at, s));
+            let (own, moved) = slopes
+                .as_ref()
+                .map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| {
+                    map.lipschitz_over(&at, s)
+                });
             // A map evaluated at the same point as the one added to it contributes only its
             // displacement, J - I.
-            whole = if together { own * here } else { whole + (own + 1.0) * here };
+            whole = if together {
+                own * here
+            } else {
+                whole + (own + 1.0) * here
+            };
             b = Bounds::new(b.min + moved.min, b.max + moved.max);
             together = !map.added;
             if together {
@@ -200,7 +271,10 @@ impl PlacedMap {
     /// The bound over a box, and a box around the displacements there.
     fn lipschitz_over(&self, b: &Bounds, slopes: &MinMaxPyramid<1>) -> (f32, Bounds) {
         let moved = self.displacement_bounds(b);
-        let inside = b.transformed(&self.placement.map_from_world).grown(1e-4).intersection(&Bounds::new(-self.reach, Vec3::ONE + self.reach));
+        let inside = b
+            .transformed(&self.placement.map_from_world)
+            .grown(1e-4)
+            .intersection(&Bounds::new(-self.reach, Vec3::ONE + self.reach));
         if inside.is_empty() {
             return (1.0, moved);
         }
@@ -219,8 +293,12 @@ mod tests {
     use std::sync::Arc;
 
     fn placed(center: Vec3, f: impl Fn(Vec3) -> TexelSample + Sync) -> PlacedMap {
-        let placement = Placement::new(center, Vec3::new(60.0, 40.0, 50.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
-        PlacedMap::new(Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F16, f)), placement)
+        let placement = Placement::new(center, Vec3::new(60.0, 40.0, 50.0), Vec3::new(20.0, 40.0, -10.0))
+            .unwrap_or_else(|e| panic!("{e}"));
+        PlacedMap::new(
+            Arc::new(DisplacementMap::from_fn([17, 19, 15], Storage::F16, f)),
+            placement,
+        )
     }
 
     proptest! {
@@ -247,8 +325,12 @@ mod tests {
     fn bounds_of_linear_maps() {
         for size in [[2, 3, 11], [9, 17, 4], [18, 1, 2]] {
             let bound = |f: fn(Vec3) -> Vec3| {
-                let map = DisplacementMap::from_fn(size, Storage::F32, |x| TexelSample { displacement: f(x - 0.5), alpha: 1.0 });
-                let placement = Placement::new(Vec3::X, Vec3::splat(40.0), Vec3::new(20.0, 40.0, -10.0)).unwrap_or_else(|e| panic!("{e}"));
+                let map = DisplacementMap::from_fn(size, Storage::F32, |x| TexelSample {
+                    displacement: f(x - 0.5),
+                    alpha: 1.0,
+                });
+                let placement = Placement::new(Vec3::X, Vec3::splat(40.0), Vec3::new(20.0, 40.0, -10.0))
+                    .unwrap_or_else(|e| panic!("{e}"));
                 let stack = Stack::new(vec![PlacedMap::new(Arc::new(map), placement)]);
                 LipschitzBounds::new(&stack).bound(&Bounds::new(Vec3::splat(-4.0), Vec3::splat(4.0)))
             };
@@ -257,7 +339,10 @@ mod tests {
             let shrunk = bound(|x| -0.5 * x);
             assert!((shrunk - 1.0).abs() < 1e-5, "{size:?}: {shrunk}");
             let (sheared, golden) = (bound(|x| Vec3::new(x.z, 0.0, 0.0)), 0.5 + 1.25f32.sqrt());
-            assert!(sheared >= golden - 1e-5 && sheared < 1.005 * golden, "{size:?}: {sheared}");
+            assert!(
+                sheared >= golden - 1e-5 && sheared < 1.005 * golden,
+                "{size:?}: {sheared}"
+            );
             let turned = bound(|x| Mat3::from_rotation_y(0.4) * x - x);
             assert!((turned - 1.0).abs() < 1e-4, "{size:?}: {turned}");
         }
@@ -267,6 +352,8 @@ mod tests {
     fn norms_of_known_matrices() {
         assert!((spectral_norm(Mat3::from_rotation_x(0.7)) - 1.0).abs() < 1e-6);
         assert!((spectral_norm(Mat3::from_diagonal(Vec3::new(0.5, -3.0, 1.0))) - 3.0).abs() < 1e-5);
-        assert!((spectral_norm(Mat3::from_cols(Vec3::X, Vec3::X * 2.0, Vec3::ZERO)) - 5.0f32.sqrt()).abs() < 1e-5);
+        assert!(
+            (spectral_norm(Mat3::from_cols(Vec3::X, Vec3::X * 2.0, Vec3::ZERO)) - 5.0f32.sqrt()).abs() < 1e-5
+        );
     }
 }

@@ -21,7 +21,10 @@ impl Placement {
     /// A size that is not positive, values that are not finite.
     pub fn new(center_mm: Vec3, size_mm: Vec3, rotate_deg: Vec3) -> Result<Self> {
         if !(size_mm.is_finite() && size_mm.cmpgt(Vec3::splat(1e-3)).all()) {
-            return Err(Error::value("size", format!("{size_mm} mm is a singular placement; every length must be positive")));
+            return Err(Error::value(
+                "size",
+                format!("{size_mm} mm is a singular placement; every length must be positive"),
+            ));
         }
         if !(center_mm.is_finite() && rotate_deg.is_finite()) {
             return Err(Error::value("center, rotate", "must be finite"));
@@ -29,7 +32,10 @@ impl Placement {
         let r = rotate_deg * std::f32::consts::PI / 180.0;
         let rotation = Mat3::from_quat(Quat::from_euler(EulerRot::ZYX, r.z, r.y, r.x));
         let linear = rotation * Mat3::from_diagonal(size_mm);
-        Self::from_affine(Affine3A::from_mat3_translation(linear, center_mm - linear * Vec3::splat(0.5)))
+        Self::from_affine(Affine3A::from_mat3_translation(
+            linear,
+            center_mm - linear * Vec3::splat(0.5),
+        ))
     }
 
     /// Any affine placement, shears and mirrors included.
@@ -41,13 +47,22 @@ impl Placement {
         let volume = m.determinant();
         let lengths = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
         if !(world_from_map.is_finite() && volume.abs() > 1e-6 * lengths && volume.abs() > 1e-9) {
-            return Err(Error::value("matrix", "is a singular placement; its three axes must span a volume"));
+            return Err(Error::value(
+                "matrix",
+                "is a singular placement; its three axes must span a volume",
+            ));
         }
         let map_from_world = world_from_map.inverse();
         if !map_from_world.is_finite() {
-            return Err(Error::value("matrix", "is a singular placement; its three axes must span a volume"));
+            return Err(Error::value(
+                "matrix",
+                "is a singular placement; its three axes must span a volume",
+            ));
         }
-        Ok(Self { world_from_map, map_from_world })
+        Ok(Self {
+            world_from_map,
+            map_from_world,
+        })
     }
 
     /// Edge lengths of the cube, mm.
@@ -70,17 +85,30 @@ mod tests {
 
     #[test]
     fn centre_and_size_come_back() {
-        let p = Placement::new(Vec3::new(1.0, 2.0, 3.0), Vec3::new(10.0, 20.0, 30.0), Vec3::new(30.0, -40.0, 80.0)).unwrap_or_else(|e| panic!("{e}"));
-        assert!(p.world_from_map.transform_point3(Vec3::splat(0.5)).abs_diff_eq(Vec3::new(1.0, 2.0, 3.0), 1e-4));
+        let p = Placement::new(
+            Vec3::new(1.0, 2.0, 3.0),
+            Vec3::new(10.0, 20.0, 30.0),
+            Vec3::new(30.0, -40.0, 80.0),
+        )
+        .unwrap_or_else(|e| panic!("{e}"));
+        assert!(
+            p.world_from_map
+                .transform_point3(Vec3::splat(0.5))
+                .abs_diff_eq(Vec3::new(1.0, 2.0, 3.0), 1e-4)
+        );
         assert!(p.size_mm().abs_diff_eq(Vec3::new(10.0, 20.0, 30.0), 1e-4));
-        let q = p.map_from_world.transform_point3(p.world_from_map.transform_point3(Vec3::new(0.2, 0.7, 0.9)));
+        let q = p
+            .map_from_world
+            .transform_point3(p.world_from_map.transform_point3(Vec3::new(0.2, 0.7, 0.9)));
         assert!(q.abs_diff_eq(Vec3::new(0.2, 0.7, 0.9), 1e-5));
     }
 
     #[test]
     fn singular_placements_are_refused() {
         assert!(Placement::new(Vec3::ZERO, Vec3::new(1.0, 0.0, 1.0), Vec3::ZERO).is_err());
-        assert!(Placement::from_affine(Affine3A::from_mat3(Mat3::from_cols(Vec3::X, Vec3::X, Vec3::Y))).is_err());
+        assert!(
+            Placement::from_affine(Affine3A::from_mat3(Mat3::from_cols(Vec3::X, Vec3::X, Vec3::Y))).is_err()
+        );
         assert!(Placement::from_affine(Affine3A::from_scale(Vec3::NAN)).is_err());
     }
 }

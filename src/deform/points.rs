@@ -128,7 +128,10 @@ fn distinct(pairs: &[PointPair]) -> Result<Vec<PointPair>> {
         if !(p.from.is_finite() && p.to.is_finite()) {
             return Err(Error::value("pairs", format!("pair {} is not finite", n + 1)));
         }
-        match distinct.iter().find(|k| k.to.distance(p.to) < MIN_POINT_DISTANCE_MM) {
+        match distinct
+            .iter()
+            .find(|k| k.to.distance(p.to) < MIN_POINT_DISTANCE_MM)
+        {
             Some(k) if k.from.distance(p.from) < MIN_POINT_DISTANCE_MM => {}
             Some(k) => {
                 return Err(Error::value(
@@ -143,13 +146,19 @@ fn distinct(pairs: &[PointPair]) -> Result<Vec<PointPair>> {
                 ));
             }
             None if distinct.len() == MAX_PAIRS => {
-                return Err(Error::value("pairs", format!("are more than {MAX_PAIRS}, the most that can be interpolated")));
+                return Err(Error::value(
+                    "pairs",
+                    format!("are more than {MAX_PAIRS}, the most that can be interpolated"),
+                ));
             }
             None => distinct.push(*p),
         }
     }
     if distinct.is_empty() {
-        return Err(Error::value("pairs", "are missing; give at least one pair of points"));
+        return Err(Error::value(
+            "pairs",
+            "are missing; give at least one pair of points",
+        ));
     }
     Ok(distinct)
 }
@@ -163,19 +172,29 @@ struct ScatteredDisplacements {
 impl ScatteredDisplacements {
     /// The displacements of pairs at their targets.
     fn of(pairs: &[PointPair]) -> Self {
-        Self { points: pairs.iter().map(|p| p.to).collect(), values: pairs.iter().map(|p| p.from - p.to).collect() }
+        Self {
+            points: pairs.iter().map(|p| p.to).collect(),
+            values: pairs.iter().map(|p| p.from - p.to).collect(),
+        }
     }
 
     /// Typical distance of neighbouring points, at least 1 mm.
     fn spacing(&self) -> f64 {
         let points = &self.points;
-        let extent = points.iter().copied().reduce(DVec3::max).unwrap_or_default() - points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+        let extent = points.iter().copied().reduce(DVec3::max).unwrap_or_default()
+            - points.iter().copied().reduce(DVec3::min).unwrap_or_default();
         (extent.length() / (points.len() as f64).cbrt()).max(1.0)
     }
 
     /// An interpolant without affine part.
     fn without_affine(&self, method: Method, scale: f64, weights: Vec<DVec3>) -> Interpolant {
-        Interpolant { points: self.points.clone(), weights, affine: (DMat3::ZERO, DVec3::ZERO), method, scale }
+        Interpolant {
+            points: self.points.clone(),
+            weights,
+            affine: (DMat3::ZERO, DVec3::ZERO),
+            method,
+            scale,
+        }
     }
 
     /// Interpolates with inverse-distance weights.
@@ -193,7 +212,8 @@ impl ScatteredDisplacements {
                 *v = (-(points[i].distance_squared(points[j]) / (scale * scale))).exp();
             }
         }
-        solve(system, self.values.clone()).map(|weights| self.without_affine(Method::Gaussian, scale, weights))
+        solve(system, self.values.clone())
+            .map(|weights| self.without_affine(Method::Gaussian, scale, weights))
     }
 
     /// Interpolates with a thin-plate spline; none if the points do not span space.
@@ -204,14 +224,21 @@ impl ScatteredDisplacements {
             return None;
         }
         let center = points.iter().sum::<DVec3>() / n as f64;
-        let scale = points.iter().map(|p| p.distance(center)).fold(0.0, f64::max).max(1.0);
+        let scale = points
+            .iter()
+            .map(|p| p.distance(center))
+            .fold(0.0, f64::max)
+            .max(1.0);
         let at = |p: DVec3| (p - center) / scale;
         let mut system = vec![vec![0.0; n + 4]; n + 4];
         for i in 0..n {
             for j in 0..n {
                 system[i][j] = at(points[i]).distance(at(points[j]));
             }
-            for (c, v) in [1.0, at(points[i]).x, at(points[i]).y, at(points[i]).z].into_iter().enumerate() {
+            for (c, v) in [1.0, at(points[i]).x, at(points[i]).y, at(points[i]).z]
+                .into_iter()
+                .enumerate()
+            {
                 system[i][n + c] = v;
                 system[n + c][i] = v;
             }
@@ -222,7 +249,13 @@ impl ScatteredDisplacements {
         // Σ in normalised coordinates; the affine part in world coordinates.
         let linear = DMat3::from_cols(w[n + 1], w[n + 2], w[n + 3]) * (1.0 / scale);
         let affine = (linear, w[n] - linear * center);
-        Some(Interpolant { points: points.clone(), weights: w[..n].to_vec(), affine, method: Method::ThinPlate, scale })
+        Some(Interpolant {
+            points: points.clone(),
+            weights: w[..n].to_vec(),
+            affine,
+            method: Method::ThinPlate,
+            scale,
+        })
     }
 }
 
@@ -267,8 +300,17 @@ pub fn read_pairs(path: &Path) -> Result<Vec<PointPair>> {
     let rows = table(path)?;
     rows.into_iter()
         .map(|(line, v)| match v[..] {
-            [a, b, c, d, e, f] => Ok(PointPair { from: DVec3::new(a, b, c), to: DVec3::new(d, e, f) }),
-            _ => Err(Error::file(path, format!("line {line} has {} numbers; a pair needs six: source x,y,z and target x,y,z", v.len()))),
+            [a, b, c, d, e, f] => Ok(PointPair {
+                from: DVec3::new(a, b, c),
+                to: DVec3::new(d, e, f),
+            }),
+            _ => Err(Error::file(
+                path,
+                format!(
+                    "line {line} has {} numbers; a pair needs six: source x,y,z and target x,y,z",
+                    v.len()
+                ),
+            )),
         })
         .collect()
 }
@@ -286,14 +328,24 @@ fn table(path: &Path) -> Result<Vec<(usize, Vec<f64>)>> {
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let words: Vec<&str> = line.split([',', ';', '\t', ' ']).filter(|w| !w.trim().is_empty()).collect();
+        let words: Vec<&str> = line
+            .split([',', ';', '\t', ' '])
+            .filter(|w| !w.trim().is_empty())
+            .collect();
         let numbers: Vec<f64> = words.iter().map_while(|w| w.trim().parse().ok()).collect();
         if numbers.len() != words.len() {
             if rows.is_empty() && numbers.is_empty() {
                 // The names of the columns.
                 continue;
             }
-            return Err(Error::file(path, format!("line {} contains \"{}\", which is not a number", n + 1, words[numbers.len()])));
+            return Err(Error::file(
+                path,
+                format!(
+                    "line {} contains \"{}\", which is not a number",
+                    n + 1,
+                    words[numbers.len()]
+                ),
+            ));
         }
         rows.push((n + 1, numbers));
     }
@@ -306,27 +358,46 @@ fn table(path: &Path) -> Result<Vec<(usize, Vec<f64>)>> {
 /// # Errors
 /// A file that cannot be read or has another format.
 pub fn read_points(path: &Path) -> Result<Vec<DVec3>> {
-    let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let name = path
+        .file_name()
+        .map(|n| n.to_string_lossy().to_ascii_lowercase())
+        .unwrap_or_default();
     if name.ends_with(".json") {
         return read_markups(path);
     }
     if name.ends_with(".fcsv") {
         let text = text_of(path)?;
-        let system = text.lines().find_map(|l| l.strip_prefix("# CoordinateSystem =")).map_or("RAS", str::trim);
+        let system = text
+            .lines()
+            .find_map(|l| l.strip_prefix("# CoordinateSystem ="))
+            .map_or("RAS", str::trim);
         let flip = match system {
             "0" | "RAS" => DVec3::new(-1.0, -1.0, 1.0),
             "1" | "LPS" => DVec3::ONE,
-            other => return Err(Error::file(path, format!("states its points in \"{other}\"; RAS and LPS can be read"))),
+            other => {
+                return Err(Error::file(
+                    path,
+                    format!("states its points in \"{other}\"; RAS and LPS can be read"),
+                ));
+            }
         };
         return text
             .lines()
             .enumerate()
             .filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#'))
             .map(|(n, l)| {
-                let v: Vec<f64> = l.split(',').skip(1).take(3).map_while(|w| w.trim().parse().ok()).collect();
+                let v: Vec<f64> = l
+                    .split(',')
+                    .skip(1)
+                    .take(3)
+                    .map_while(|w| w.trim().parse().ok())
+                    .collect();
                 match v[..] {
                     [x, y, z] => Ok(DVec3::new(x, y, z) * flip),
-                    _ => Err(Error::file(path, format!("line {} has no three coordinates after its label", n + 1))),
+                    _ => Err(Error::file(
+                        path,
+                        format!("line {} has no three coordinates after its label", n + 1),
+                    )),
                 }
             })
             .collect();
@@ -335,28 +406,52 @@ pub fn read_points(path: &Path) -> Result<Vec<DVec3>> {
         .into_iter()
         .map(|(line, v)| match v[..] {
             [x, y, z] => Ok(DVec3::new(x, y, z)),
-            _ => Err(Error::file(path, format!("line {line} has {} numbers; a point has three", v.len()))),
+            _ => Err(Error::file(
+                path,
+                format!("line {line} has {} numbers; a point has three", v.len()),
+            )),
         })
         .collect()
 }
 
 fn read_markups(path: &Path) -> Result<Vec<DVec3>> {
-    let value: Value = serde_json::from_str(&text_of(path)?).map_err(|e| Error::file(path, format!("is not valid JSON: {e}")))?;
-    let markup = value.pointer("/markups/0").ok_or_else(|| Error::file(path, "contains no markups; it is not a 3D Slicer point list"))?;
-    let flip = match markup.get("coordinateSystem").and_then(Value::as_str).unwrap_or("LPS") {
+    let value: Value = serde_json::from_str(&text_of(path)?)
+        .map_err(|e| Error::file(path, format!("is not valid JSON: {e}")))?;
+    let markup = value
+        .pointer("/markups/0")
+        .ok_or_else(|| Error::file(path, "contains no markups; it is not a 3D Slicer point list"))?;
+    let flip = match markup
+        .get("coordinateSystem")
+        .and_then(Value::as_str)
+        .unwrap_or("LPS")
+    {
         "LPS" => DVec3::ONE,
         "RAS" => DVec3::new(-1.0, -1.0, 1.0),
-        other => return Err(Error::file(path, format!("states its points in \"{other}\"; RAS and LPS can be read"))),
+        other => {
+            return Err(Error::file(
+                path,
+                format!("states its points in \"{other}\"; RAS and LPS can be read"),
+            ));
+        }
     };
-    let points = markup.get("controlPoints").and_then(Value::as_array).ok_or_else(|| Error::file(path, "holds a markup without control points"))?;
+    let points = markup
+        .get("controlPoints")
+        .and_then(Value::as_array)
+        .ok_or_else(|| Error::file(path, "holds a markup without control points"))?;
     points
         .iter()
         .enumerate()
         .map(|(n, p)| {
-            let v: Vec<f64> = p.get("position").and_then(Value::as_array).map_or(Vec::new(), |a| a.iter().filter_map(Value::as_f64).collect());
+            let v: Vec<f64> = p
+                .get("position")
+                .and_then(Value::as_array)
+                .map_or(Vec::new(), |a| a.iter().filter_map(Value::as_f64).collect());
             match v[..] {
                 [x, y, z] => Ok(DVec3::new(x, y, z) * flip),
-                _ => Err(Error::file(path, format!("control point {} has no position of three numbers", n + 1))),
+                _ => Err(Error::file(
+                    path,
+                    format!("control point {} has no position of three numbers", n + 1),
+                )),
             }
         })
         .collect()
@@ -367,14 +462,24 @@ mod tests {
     use super::*;
 
     fn pairs() -> Vec<PointPair> {
-        [[0.0, 0.0, 0.0], [50.0, 0.0, 5.0], [0.0, 40.0, -8.0], [10.0, 20.0, 60.0], [-30.0, 5.0, 20.0], [25.0, 25.0, 25.0]]
-            .into_iter()
-            .enumerate()
-            .map(|(n, p)| {
-                let to = DVec3::from(p);
-                PointPair { from: to + DVec3::new((n as f64).sin() * 6.0, n as f64 - 2.0, 3.0), to }
-            })
-            .collect()
+        [
+            [0.0, 0.0, 0.0],
+            [50.0, 0.0, 5.0],
+            [0.0, 40.0, -8.0],
+            [10.0, 20.0, 60.0],
+            [-30.0, 5.0, 20.0],
+            [25.0, 25.0, 25.0],
+        ]
+        .into_iter()
+        .enumerate()
+        .map(|(n, p)| {
+            let to = DVec3::from(p);
+            PointPair {
+                from: to + DVec3::new((n as f64).sin() * 6.0, n as f64 - 2.0, 3.0),
+                to,
+            }
+        })
+        .collect()
     }
 
     #[test]
@@ -383,15 +488,28 @@ mod tests {
             let (i, notice) = Interpolant::new(&pairs(), method, None).unwrap_or_else(|e| panic!("{e}"));
             assert_eq!(notice, None);
             for p in pairs() {
-                assert!((p.to + i.displacement(p.to)).distance(p.from) < 1e-6, "{method:?}");
+                assert!(
+                    (p.to + i.displacement(p.to)).distance(p.from) < 1e-6,
+                    "{method:?}"
+                );
             }
         }
     }
 
     #[test]
     fn a_thin_plate_spline_reproduces_affine_maps() {
-        let m = DMat3::from_cols(DVec3::new(1.1, 0.1, 0.0), DVec3::new(-0.2, 0.9, 0.05), DVec3::new(0.0, 0.3, 1.2));
-        let affine: Vec<PointPair> = pairs().into_iter().map(|p| PointPair { from: m * p.to + DVec3::new(3.0, -4.0, 5.0), to: p.to }).collect();
+        let m = DMat3::from_cols(
+            DVec3::new(1.1, 0.1, 0.0),
+            DVec3::new(-0.2, 0.9, 0.05),
+            DVec3::new(0.0, 0.3, 1.2),
+        );
+        let affine: Vec<PointPair> = pairs()
+            .into_iter()
+            .map(|p| PointPair {
+                from: m * p.to + DVec3::new(3.0, -4.0, 5.0),
+                to: p.to,
+            })
+            .collect();
         let (i, _) = Interpolant::new(&affine, Method::ThinPlate, None).unwrap_or_else(|e| panic!("{e}"));
         let p = DVec3::new(70.0, -20.0, 33.0);
         assert!((p + i.displacement(p)).distance(m * p + DVec3::new(3.0, -4.0, 5.0)) < 1e-6);
@@ -403,11 +521,25 @@ mod tests {
         let (i, notice) = Interpolant::new(few, Method::ThinPlate, None).unwrap_or_else(|e| panic!("{e}"));
         assert!(notice.is_some_and(|n| n.contains("3 points are too few")));
         assert!((few[1].to + i.displacement(few[1].to)).distance(few[1].from) < 1e-6);
-        let flat: Vec<PointPair> = pairs().into_iter().map(|p| PointPair { to: p.to * DVec3::new(1.0, 1.0, 0.0), ..p }).collect();
-        assert!(Interpolant::new(&flat, Method::ThinPlate, None).is_ok_and(|(_, n)| n.is_some_and(|n| n.contains("coplanar"))));
+        let flat: Vec<PointPair> = pairs()
+            .into_iter()
+            .map(|p| PointPair {
+                to: p.to * DVec3::new(1.0, 1.0, 0.0),
+                ..p
+            })
+            .collect();
+        assert!(
+            Interpolant::new(&flat, Method::ThinPlate, None)
+                .is_ok_and(|(_, n)| n.is_some_and(|n| n.contains("coplanar")))
+        );
         let mut twice = pairs();
-        twice.push(PointPair { from: DVec3::ONE * 9.0, to: twice[0].to });
-        assert!(Interpolant::new(&twice, Method::Gaussian, None).is_err_and(|e| e.to_string().contains("pair 7")));
+        twice.push(PointPair {
+            from: DVec3::ONE * 9.0,
+            to: twice[0].to,
+        });
+        assert!(
+            Interpolant::new(&twice, Method::Gaussian, None).is_err_and(|e| e.to_string().contains("pair 7"))
+        );
         twice[6] = twice[0];
         assert!(Interpolant::new(&twice, Method::ThinPlate, None).is_ok());
         assert!(Interpolant::new(&[], Method::ThinPlate, None).is_err());
@@ -421,15 +553,33 @@ mod tests {
             std::fs::write(&path, text).unwrap_or_else(|e| panic!("{e}"));
             path
         };
-        let csv = write("a.csv", "from_x,from_y,from_z,to_x,to_y,to_z\n1,2,3,4,5,6\n# note\n7;8;9;10;11;12\n");
+        let csv = write(
+            "a.csv",
+            "from_x,from_y,from_z,to_x,to_y,to_z\n1,2,3,4,5,6\n# note\n7;8;9;10;11;12\n",
+        );
         let read = read_pairs(&csv).unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!(read[1], PointPair { from: DVec3::new(7.0, 8.0, 9.0), to: DVec3::new(10.0, 11.0, 12.0) });
+        assert_eq!(
+            read[1],
+            PointPair {
+                from: DVec3::new(7.0, 8.0, 9.0),
+                to: DVec3::new(10.0, 11.0, 12.0)
+            }
+        );
         assert!(read_pairs(&write("b.csv", "1,2,3\n")).is_err_and(|e| e.to_string().contains("line 1")));
-        assert!(read_pairs(&write("c.csv", "1,2,3,4,5,6\n1,2,x,4,5,6")).is_err_and(|e| e.to_string().contains("\"x\"")));
+        assert!(
+            read_pairs(&write("c.csv", "1,2,3,4,5,6\n1,2,x,4,5,6"))
+                .is_err_and(|e| e.to_string().contains("\"x\""))
+        );
         let json = r#"{"markups":[{"type":"Fiducial","coordinateSystem":"RAS","controlPoints":[{"position":[1.0,2.0,3.0]}]}]}"#;
-        assert_eq!(read_points(&write("a.mrk.json", json)).ok(), Some(vec![DVec3::new(-1.0, -2.0, 3.0)]));
+        assert_eq!(
+            read_points(&write("a.mrk.json", json)).ok(),
+            Some(vec![DVec3::new(-1.0, -2.0, 3.0)])
+        );
         let fcsv = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n# columns = id,x,y,z\nF-1,1.5,2,3,0,0,0,1,1,1,0,F-1,,\n";
-        assert_eq!(read_points(&write("a.fcsv", fcsv)).ok(), Some(vec![DVec3::new(1.5, 2.0, 3.0)]));
+        assert_eq!(
+            read_points(&write("a.fcsv", fcsv)).ok(),
+            Some(vec![DVec3::new(1.5, 2.0, 3.0)])
+        );
         assert!(read_points(&write("b.mrk.json", "{}")).is_err());
     }
 }

@@ -56,21 +56,34 @@ impl CheckedField {
         let texels: Vec<(Vec3, bool)> = (0..size.iter().product::<usize>())
             .into_par_iter()
             .map(|n| {
-                let at = Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
+                let at = Vec3::new(
+                    (n % size[0]) as f32,
+                    (n / size[0] % size[1]) as f32,
+                    (n / (size[0] * size[1])) as f32,
+                );
                 let t = placed.map.sample(at * step);
                 (linear * t.displacement, t.alpha >= 0.5)
             })
             .collect();
         let (vectors, is_valid): (Vec<Vec3>, Vec<bool>) = texels.into_iter().unzip();
-        Self::new(VectorField::new(grid_of(&placed.placement, size), vectors), is_valid)
+        Self::new(
+            VectorField::new(grid_of(&placed.placement, size), vectors),
+            is_valid,
+        )
     }
 
     /// A field and its mask.
     pub fn new(field: VectorField, is_valid: Vec<bool>) -> Self {
         let [nx, ny, _] = field.grid.size;
-        let determinants =
-            (0..is_valid.len()).into_par_iter().map(|n| field.jacobian(n % nx, n / nx % ny, n / (nx * ny)).determinant() as f32).collect();
-        Self { field, is_valid, determinants }
+        let determinants = (0..is_valid.len())
+            .into_par_iter()
+            .map(|n| field.jacobian(n % nx, n / nx % ny, n / (nx * ny)).determinant() as f32)
+            .collect();
+        Self {
+            field,
+            is_valid,
+            determinants,
+        }
     }
 
     /// The statistics.
@@ -117,11 +130,17 @@ impl CheckedField {
             .filter(|&n| self.is_valid[n])
             .min_by(|&a, &b| self.determinants[a].total_cmp(&self.determinants[b]))
             .unwrap_or(self.is_valid.len() / 2);
-        let at = [worst % size[0], worst / size[0] % size[1], worst / (size[0] * size[1])];
+        let at = [
+            worst % size[0],
+            worst / size[0] % size[1],
+            worst / (size[0] * size[1]),
+        ];
         let panels = [(0, 1, 2), (0, 2, 1), (1, 2, 0)];
         let scale = (256 / size.iter().max().copied().unwrap_or(1)).max(1);
-        let (width, height) =
-            (panels.iter().map(|p| size[p.0] * scale).sum::<usize>() + 8, panels.iter().map(|p| size[p.1] * scale).max().unwrap_or(1));
+        let (width, height) = (
+            panels.iter().map(|p| size[p.0] * scale).sum::<usize>() + 8,
+            panels.iter().map(|p| size[p.1] * scale).max().unwrap_or(1),
+        );
         let mut rgb = vec![255u8; width * height * 3];
         let mut left = 0;
         for (across, up, fixed) in panels {
@@ -148,7 +167,11 @@ impl CheckedField {
         let mut out = String::from("i,j,k,x_mm,y_mm,z_mm,dx_mm,dy_mm,dz_mm,det_j,seen\n");
         for n in 0..self.is_valid.len() {
             let [i, j, k] = [n % size[0], n / size[0] % size[1], n / (size[0] * size[1])];
-            let p = self.field.grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+            let p = self
+                .field
+                .grid
+                .world_from_voxel
+                .transform_point3(DVec3::new(i as f64, j as f64, k as f64));
             let d = flat(&self.field.vectors)[n];
             let _infallible = writeln!(
                 out,
@@ -177,7 +200,11 @@ fn color(det: f32, is_valid: bool) -> [u8; 3] {
     // Linear in the logarithm; full colour at a factor of four.
     let t = (det.log2() / 2.0).clamp(-1.0, 1.0);
     let fade = |c: [f32; 3]| c.map(|c| (255.0 + (c - 255.0) * t.abs()) as u8);
-    if t < 0.0 { fade([40.0, 90.0, 200.0]) } else { fade([30.0, 140.0, 70.0]) }
+    if t < 0.0 {
+        fade([40.0, 90.0, 200.0])
+    } else {
+        fade([30.0, 140.0, 70.0])
+    }
 }
 
 #[cfg(test)]
@@ -189,7 +216,10 @@ mod tests {
     fn field(f: impl Fn(DVec3) -> DVec3 + Sync) -> CheckedField {
         let grid = GridGeometry {
             size: [17; 3],
-            world_from_voxel: DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(2.0)), translation: DVec3::splat(-16.0) },
+            world_from_voxel: DAffine3 {
+                matrix3: DMat3::from_diagonal(DVec3::splat(2.0)),
+                translation: DVec3::splat(-16.0),
+            },
         };
         CheckedField::new(VectorField::sampled(grid, f), vec![true; 17 * 17 * 17])
     }
@@ -198,7 +228,10 @@ mod tests {
     fn linear_fields_have_their_determinant() {
         let h = field(|p| p * DVec3::new(2.0, 0.5, 1.5)).health(false);
         assert!((h.det_min - 1.5).abs() < 1e-3 && (h.det_max - 1.5).abs() < 1e-3 && h.folds_percent == 0.0);
-        assert!((h.largest_mm - (16.0f64.powi(2) + 8.0f64.powi(2) * 2.0).sqrt()).abs() < 1e-3 && h.border_mm == h.largest_mm);
+        assert!(
+            (h.largest_mm - (16.0f64.powi(2) + 8.0f64.powi(2) * 2.0).sqrt()).abs() < 1e-3
+                && h.border_mm == h.largest_mm
+        );
     }
 
     #[test]

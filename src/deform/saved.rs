@@ -28,9 +28,18 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
         );
         return Err(Error::file(path, problem));
     }
-    let grid = GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel };
+    let grid = GridGeometry {
+        size: image.size,
+        world_from_voxel: image.world_from_voxel,
+    };
     if image.size.iter().product::<usize>() > super::compose::MAX_TEXELS {
-        return Err(Error::file(path, format!("has more than {} texels; make it with a lower resolution", super::compose::MAX_TEXELS)));
+        return Err(Error::file(
+            path,
+            format!(
+                "has more than {} texels; make it with a lower resolution",
+                super::compose::MAX_TEXELS
+            ),
+        ));
     }
     let placement = placement_of(&grid)?;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
@@ -63,5 +72,10 @@ pub fn encode(placed: &PlacedMap) -> Result<Vec<u8>> {
             }
         }
     }
-    save::encode(Format::Nrrd, &grid_of(&placed.placement, size), Content::Map, &values)
+    save::encode(
+        Format::Nrrd,
+        &grid_of(&placed.placement, size),
+        Content::Map,
+        &values,
+    )
 }

@@ -44,7 +44,8 @@ pub struct PlacedMap {
 impl PartialEq for PlacedMap {
     /// Identity of the map, not equality of its content: the same map with the same placement.
     fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.map, &other.map) && (self.placement, self.added, self.reach) == (other.placement, other.added, other.reach)
+        Arc::ptr_eq(&self.map, &other.map)
+            && (self.placement, self.added, self.reach) == (other.placement, other.added, other.reach)
     }
 }
 
@@ -92,7 +93,10 @@ pub struct Jet {
 
 impl NearestCut {
     /// No cut nearby.
-    pub const NONE: Self = Self { distance_mm: f32::INFINITY, normal: Vec3::ZERO };
+    pub const NONE: Self = Self {
+        distance_mm: f32::INFINITY,
+        normal: Vec3::ZERO,
+    };
 
     /// The nearer of this cut and the surface where `value` (positive inside) falls to zero with
     /// the given gradient in the deformed scene: to first order, the distance is value /
@@ -103,7 +107,10 @@ impl NearestCut {
         if slope < 1e-12 || value >= self.distance_mm * slope {
             return self;
         }
-        Self { distance_mm: value / slope, normal: gradient / -slope }
+        Self {
+            distance_mm: value / slope,
+            normal: gradient / -slope,
+        }
     }
 }
 
@@ -111,7 +118,13 @@ impl PlacedMap {
     /// Puts a map into the world.
     pub fn new(map: Arc<DisplacementMap>, placement: Placement) -> Self {
         let world_from_stored = Mat3::from(placement.world_from_map.matrix3) * map.scale;
-        Self { map, placement, added: false, reach: Vec3::ZERO, world_from_stored }
+        Self {
+            map,
+            placement,
+            added: false,
+            reach: Vec3::ZERO,
+            world_from_stored,
+        }
     }
 
     /// One step of the walk: the point before this map was applied, and the mask.
@@ -165,7 +178,12 @@ impl PrecomposedMap {
     /// The jet at a point; none where the maps themselves must be walked.
     fn jet(&self, deformed: Vec3) -> Option<Jet> {
         let (d, alpha) = self.map.displacement(deformed);
-        let unmoved = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
+        let unmoved = Jet {
+            source: deformed,
+            d_source_d_deformed: Mat3::IDENTITY,
+            cut: NearestCut::NONE,
+            alpha: 1.0,
+        };
         let x = self.map.placement.map_from_world.transform_point3(deformed);
         if self.map.is_outside(x) {
             return Some(unmoved);
@@ -175,7 +193,12 @@ impl PrecomposedMap {
             return None;
         }
         let (j, slope) = self.map.derivatives(deformed)?;
-        Some(Jet { source: deformed + d, d_source_d_deformed: j, cut: NearestCut::NONE.nearer_of(alpha - 0.5, slope), alpha })
+        Some(Jet {
+            source: deformed + d,
+            d_source_d_deformed: j,
+            cut: NearestCut::NONE.nearer_of(alpha - 0.5, slope),
+            alpha,
+        })
     }
 }
 
@@ -191,7 +214,10 @@ impl Stack {
         if let Some(first) = maps.first_mut() {
             first.added = false;
         }
-        Self { maps, precomposed: None }
+        Self {
+            maps,
+            precomposed: None,
+        }
     }
 
     /// The same stack with a precomposed map.
@@ -276,7 +302,12 @@ impl Stack {
         if let Some(jet) = self.precomposed.as_ref().and_then(|s| s.jet(deformed)) {
             return jet;
         }
-        let mut jet = Jet { source: deformed, d_source_d_deformed: Mat3::IDENTITY, cut: NearestCut::NONE, alpha: 1.0 };
+        let mut jet = Jet {
+            source: deformed,
+            d_source_d_deformed: Mat3::IDENTITY,
+            cut: NearestCut::NONE,
+            alpha: 1.0,
+        };
         let (mut at, mut d_at) = (deformed, Mat3::IDENTITY);
         for map in self.maps.iter().rev() {
             let (d, alpha) = map.displacement(at);

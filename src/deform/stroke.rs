@@ -104,7 +104,10 @@ impl Lasso {
     /// are orthogonalised.
     pub fn world_from_outline(&self) -> Affine3A {
         let right = self.right.try_normalize().unwrap_or(Vec3::X);
-        let towards = right.cross(self.up).try_normalize().unwrap_or_else(|| right.any_orthonormal_vector());
+        let towards = right
+            .cross(self.up)
+            .try_normalize()
+            .unwrap_or_else(|| right.any_orthonormal_vector());
         Affine3A::from_mat3_translation(Mat3::from_cols(right, towards.cross(right), towards), self.origin)
     }
 }
@@ -122,13 +125,27 @@ impl Stroke {
 impl fmt::Display for Stroke {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
-            Self::Line { tool, radius_mm, strength, points } => {
+            Self::Line {
+                tool,
+                radius_mm,
+                strength,
+                points,
+            } => {
                 write!(f, "{} {radius_mm} {strength}", tool.name())?;
-                points.iter().try_for_each(|p| write!(f, " {} {} {}", p.x, p.y, p.z))
+                points
+                    .iter()
+                    .try_for_each(|p| write!(f, " {} {} {}", p.x, p.y, p.z))
             }
             Self::Lasso(l) => {
-                write!(f, "{} {}", if l.restores { LASSO_RESTORE } else { LASSO_CUT }, l.eye_mm)?;
-                [l.origin, l.right, l.up].iter().try_for_each(|v| write!(f, " {} {} {}", v.x, v.y, v.z))?;
+                write!(
+                    f,
+                    "{} {}",
+                    if l.restores { LASSO_RESTORE } else { LASSO_CUT },
+                    l.eye_mm
+                )?;
+                [l.origin, l.right, l.up]
+                    .iter()
+                    .try_for_each(|v| write!(f, " {} {} {}", v.x, v.y, v.z))?;
                 l.outline.iter().try_for_each(|p| write!(f, " {} {}", p.x, p.y))
             }
         }
@@ -142,11 +159,15 @@ impl fmt::Display for Stroke {
 /// names the closest one), a word that is not a number or is out of range, too few numbers.
 pub fn parse(text: &str) -> Result<Stroke, String> {
     let mut words = text.split_whitespace();
-    let name = words.next().ok_or_else(|| format!("is empty; begin with one of {}", NAMES.join(", ")))?;
+    let name = words
+        .next()
+        .ok_or_else(|| format!("is empty; begin with one of {}", NAMES.join(", ")))?;
     if !NAMES.contains(&name) {
         return Err(format!("\"{name}\" is not a tool; {}", suggestion(name, NAMES)));
     }
-    let numbers = words.map(|word| number(word, name)).collect::<Result<Vec<f32>, String>>()?;
+    let numbers = words
+        .map(|word| number(word, name))
+        .collect::<Result<Vec<f32>, String>>()?;
     match StrokeTool::ALL.into_iter().find(|t| t.name() == name) {
         Some(tool) => line(tool, &numbers),
         None => lasso(name, &numbers),
@@ -154,55 +175,104 @@ pub fn parse(text: &str) -> Result<Stroke, String> {
 }
 
 fn number(word: &str, name: &str) -> Result<f32, String> {
-    let v: f32 = word.parse().map_err(|_| format!("{name}: \"{word}\" is not a number; separate numbers with spaces"))?;
+    let v: f32 = word
+        .parse()
+        .map_err(|_| format!("{name}: \"{word}\" is not a number; separate numbers with spaces"))?;
     // Also rejects NaN.
-    if v.abs() <= LARGEST_MM { Ok(v) } else { Err(format!("{name}: {word} is outside -{LARGEST_MM} to {LARGEST_MM}")) }
+    if v.abs() <= LARGEST_MM {
+        Ok(v)
+    } else {
+        Err(format!("{name}: {word} is outside -{LARGEST_MM} to {LARGEST_MM}"))
+    }
 }
 
 fn line(tool: StrokeTool, numbers: &[f32]) -> Result<Stroke, String> {
     let name = tool.name();
     let [radius_mm, strength, coordinates @ ..] = numbers else {
-        return Err(format!("{name} has {} numbers; it needs a radius, a strength and the points' x y z", numbers.len()));
+        return Err(format!(
+            "{name} has {} numbers; it needs a radius, a strength and the points' x y z",
+            numbers.len()
+        ));
     };
     if !(*radius_mm > 0.0 && *radius_mm <= LARGEST_RADIUS_MM) {
-        return Err(format!("{name}: the radius {radius_mm} is outside 0 to {LARGEST_RADIUS_MM} mm; it must be above 0"));
+        return Err(format!(
+            "{name}: the radius {radius_mm} is outside 0 to {LARGEST_RADIUS_MM} mm; it must be above 0"
+        ));
     }
     if !(0.0..=1.0).contains(strength) {
         return Err(format!("{name}: the strength {strength} is outside 0 to 1"));
     }
     let (points, rest) = coordinates.as_chunks::<3>();
     if !rest.is_empty() {
-        return Err(format!("{name} has {} coordinates after radius and strength; each point needs three: x y z", coordinates.len()));
+        return Err(format!(
+            "{name} has {} coordinates after radius and strength; each point needs three: x y z",
+            coordinates.len()
+        ));
     }
     if points.len() < tool.min_points() {
-        return Err(format!("{name} has {} points; it needs at least {}", points.len(), tool.min_points()));
+        return Err(format!(
+            "{name} has {} points; it needs at least {}",
+            points.len(),
+            tool.min_points()
+        ));
     }
-    Ok(Stroke::Line { tool, radius_mm: *radius_mm, strength: *strength, points: points.iter().map(|p| Vec3::from_array(*p)).collect() })
+    Ok(Stroke::Line {
+        tool,
+        radius_mm: *radius_mm,
+        strength: *strength,
+        points: points.iter().map(|p| Vec3::from_array(*p)).collect(),
+    })
 }
 
 fn lasso(name: &str, numbers: &[f32]) -> Result<Stroke, String> {
     let [eye_mm, ox, oy, oz, rx, ry, rz, ux, uy, uz, coordinates @ ..] = numbers else {
-        return Err(format!("{name} has {} numbers; it needs the eye's distance, a point, two directions, and the outline's x y", numbers.len()));
+        return Err(format!(
+            "{name} has {} numbers; it needs the eye's distance, a point, two directions, and the outline's x y",
+            numbers.len()
+        ));
     };
     if *eye_mm < 0.0 {
-        return Err(format!("{name}: the eye distance {eye_mm} is negative; use 0 for an orthographic view"));
+        return Err(format!(
+            "{name}: the eye distance {eye_mm} is negative; use 0 for an orthographic view"
+        ));
     }
-    let (origin, right, up) = (Vec3::new(*ox, *oy, *oz), Vec3::new(*rx, *ry, *rz), Vec3::new(*ux, *uy, *uz));
+    let (origin, right, up) = (
+        Vec3::new(*ox, *oy, *oz),
+        Vec3::new(*rx, *ry, *rz),
+        Vec3::new(*ux, *uy, *uz),
+    );
     let (Some(x), Some(y)) = (right.try_normalize(), up.try_normalize()) else {
-        return Err(format!("{name}: a direction has zero length; give the outline's x and y axes as unit vectors"));
+        return Err(format!(
+            "{name}: a direction has zero length; give the outline's x and y axes as unit vectors"
+        ));
     };
     if x.cross(y).length() < 1e-3 {
-        return Err(format!("{name}: the outline's two directions are parallel; they must be perpendicular"));
+        return Err(format!(
+            "{name}: the outline's two directions are parallel; they must be perpendicular"
+        ));
     }
     let (points, rest) = coordinates.as_chunks::<2>();
     if !rest.is_empty() {
-        return Err(format!("{name} has {} outline coordinates; each point needs two: x y", coordinates.len()));
+        return Err(format!(
+            "{name} has {} outline coordinates; each point needs two: x y",
+            coordinates.len()
+        ));
     }
     if points.len() < 3 {
-        return Err(format!("{name}: an outline of {} points encloses nothing; it needs 3", points.len()));
+        return Err(format!(
+            "{name}: an outline of {} points encloses nothing; it needs 3",
+            points.len()
+        ));
     }
     let outline = points.iter().map(|p| Vec2::from_array(*p)).collect();
-    Ok(Stroke::Lasso(Lasso { restores: name == LASSO_RESTORE, eye_mm: *eye_mm, origin, right, up, outline }))
+    Ok(Stroke::Lasso(Lasso {
+        restores: name == LASSO_RESTORE,
+        eye_mm: *eye_mm,
+        origin,
+        right,
+        up,
+        outline,
+    }))
 }
 
 #[cfg(test)]
@@ -238,7 +308,15 @@ mod tests {
     #[test]
     fn blanks_do_not_matter() {
         let stroke = parse("  cut 5\t1   1 2 3\n").unwrap();
-        assert_eq!(stroke, Stroke::Line { tool: StrokeTool::Cut, radius_mm: 5.0, strength: 1.0, points: vec![Vec3::new(1.0, 2.0, 3.0)] });
+        assert_eq!(
+            stroke,
+            Stroke::Line {
+                tool: StrokeTool::Cut,
+                radius_mm: 5.0,
+                strength: 1.0,
+                points: vec![Vec3::new(1.0, 2.0, 3.0)]
+            }
+        );
         assert_eq!(stroke.to_string(), "cut 5 1 1 2 3");
     }
 
@@ -263,7 +341,10 @@ mod tests {
             ("lasso-cut -1 0 0 0 1 0 0 0 1 0 0 0 5 0 5 5", "is negative"),
             ("lasso-cut 0 0 0 0 0 0 0 0 1 0 0 0 5 0 5 5", "zero length"),
             ("lasso-cut 0 0 0 0 1 0 0 -2 0 0 0 0 5 0 5 5", "parallel"),
-            ("lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0 5", "each point needs two"),
+            (
+                "lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0 5",
+                "each point needs two",
+            ),
             ("lasso-restore 0 0 0 0 1 0 0 0 1 0 0 0 5 0", "needs 3"),
         ] {
             let problem = parse(text).unwrap_err();
@@ -273,9 +354,18 @@ mod tests {
 
     #[test]
     fn axes_are_at_right_angles() {
-        let Stroke::Lasso(lasso) = parse("lasso-cut 0 1 2 3 2 0 0 1 3 0 0 0 5 0 5 5").unwrap() else { panic!() };
+        let Stroke::Lasso(lasso) = parse("lasso-cut 0 1 2 3 2 0 0 1 3 0 0 0 5 0 5 5").unwrap() else {
+            panic!()
+        };
         let axes = lasso.world_from_outline();
-        assert!(axes.transform_vector3(Vec3::X).abs_diff_eq(Vec3::X, 1e-6) && axes.transform_vector3(Vec3::Y).abs_diff_eq(Vec3::Y, 1e-6));
-        assert!(axes.transform_point3(Vec3::Z).abs_diff_eq(Vec3::new(1.0, 2.0, 4.0), 1e-6), "the viewer is on the side of r x u");
+        assert!(
+            axes.transform_vector3(Vec3::X).abs_diff_eq(Vec3::X, 1e-6)
+                && axes.transform_vector3(Vec3::Y).abs_diff_eq(Vec3::Y, 1e-6)
+        );
+        assert!(
+            axes.transform_point3(Vec3::Z)
+                .abs_diff_eq(Vec3::new(1.0, 2.0, 4.0), 1e-6),
+            "the viewer is on the side of r x u"
+        );
     }
 }

@@ -138,7 +138,9 @@ impl StoredInterpolator<'_> {
     fn at(&self, c: [i64; 3]) -> f64 {
         let [nx, ny, nz] = self.volume.size;
         let clamp = |v: i64, n: usize| v.clamp(0, n as i64 - 1) as usize;
-        self.volume.voxels.at([clamp(c[0], nx), clamp(c[1], ny), clamp(c[2], nz)])
+        self.volume
+            .voxels
+            .at([clamp(c[0], nx), clamp(c[1], ny), clamp(c[2], nz)])
     }
 
     /// None outside the volume.
@@ -157,26 +159,58 @@ impl StoredInterpolator<'_> {
         }
         Some(match self.interpolation {
             Interpolation::Nearest => self.at([p.x.round() as i64, p.y.round() as i64, p.z.round() as i64]),
-            Interpolation::Linear => self.weighted(c, 0, &[[1.0 - f.x, f.x], [1.0 - f.y, f.y], [1.0 - f.z, f.z]]),
-            Interpolation::Cubic => {
-                self.weighted(c, -1, &[cubic_convolution_weights(f.x), cubic_convolution_weights(f.y), cubic_convolution_weights(f.z)])
+            Interpolation::Linear => {
+                self.weighted(c, 0, &[[1.0 - f.x, f.x], [1.0 - f.y, f.y], [1.0 - f.z, f.z]])
             }
+            Interpolation::Cubic => self.weighted(
+                c,
+                -1,
+                &[
+                    cubic_convolution_weights(f.x),
+                    cubic_convolution_weights(f.y),
+                    cubic_convolution_weights(f.z),
+                ],
+            ),
         })
     }
 
     /// Stored values, rounded if `whole`, of a row of the deformed scene, with NaN outside the
     /// volume and in cuts; `None` if [`Self::sample`] has to be used instead. `m` is world to
     /// voxels of the source; the row starts at `first` and advances by `step`, mm.
-    fn row(&self, deformation: &StackAndCuts, m: &DAffine3, [first, step]: [DVec3; 2], count: usize, whole: bool) -> Option<Vec<f32>> {
+    fn row(
+        &self,
+        deformation: &StackAndCuts,
+        m: &DAffine3,
+        [first, step]: [DVec3; 2],
+        count: usize,
+        whole: bool,
+    ) -> Option<Vec<f32>> {
         let size = self.volume.size;
         if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
             return None;
         }
-        let rows = BakeRows { size, deformation: *deformation, voxel_from_world: m, first, step, count, whole };
+        let rows = BakeRows {
+            size,
+            deformation: *deformation,
+            voxel_from_world: m,
+            first,
+            step,
+            count,
+            whole,
+        };
         match &self.volume.voxels {
-            Voxels::U8(v) => Some(with_simd(BakeRow { voxels: flat(v), rows })),
-            Voxels::U16(v) => Some(with_simd(BakeRow { voxels: flat(v), rows })),
-            Voxels::I16(v) => Some(with_simd(BakeRow { voxels: flat(v), rows })),
+            Voxels::U8(v) => Some(with_simd(BakeRow {
+                voxels: flat(v),
+                rows,
+            })),
+            Voxels::U16(v) => Some(with_simd(BakeRow {
+                voxels: flat(v),
+                rows,
+            })),
+            Voxels::I16(v) => Some(with_simd(BakeRow {
+                voxels: flat(v),
+                rows,
+            })),
             _ => None,
         }
     }
@@ -193,7 +227,12 @@ impl StoredInterpolator<'_> {
                 let mut row = 0.0;
                 for (i, wx) in w[0].iter().enumerate() {
                     if wx.abs() >= NOTHING {
-                        row += wx * self.at([c[0] + first + i as i64, c[1] + first + j as i64, c[2] + first + k as i64]);
+                        row += wx
+                            * self.at([
+                                c[0] + first + i as i64,
+                                c[1] + first + j as i64,
+                                c[2] + first + k as i64,
+                            ]);
                     }
                 }
                 sum += wz * wy * row;
@@ -205,7 +244,12 @@ impl StoredInterpolator<'_> {
 
 fn cubic_convolution_weights(t: f64) -> [f64; 4] {
     let (t2, t3) = (t * t, t * t * t);
-    [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
+    [
+        -0.5 * t + t2 - 0.5 * t3,
+        1.0 - 2.5 * t2 + 1.5 * t3,
+        0.5 * t + 2.0 * t2 - 1.5 * t3,
+        -0.5 * t2 + 0.5 * t3,
+    ]
 }
 
 /// The type for a volume's data values if the format cannot state the rescale: integers if the
@@ -218,12 +262,17 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
     let whole = volume.voxels.is_integer() && slope.fract() == 0.0 && intercept.fract() == 0.0;
     let [low, high] = volume.range;
     // Padding and holes lie outside the range.
-    let (low, high) =
-        volume.padding.map_or((low, high), |p| p.iter().map(|v| v * slope + intercept).fold((low, high), |(a, b), v| (a.min(v), b.max(v))));
+    let (low, high) = volume.padding.map_or((low, high), |p| {
+        p.iter()
+            .map(|v| v * slope + intercept)
+            .fold((low, high), |(a, b), v| (a.min(v), b.max(v)))
+    });
     let scalar = match stored {
         _ if whole && low >= f64::from(i16::MIN) && high <= f64::from(i16::MAX) => ScalarType::I16,
         _ if whole && low >= f64::from(i32::MIN) && high <= f64::from(i32::MAX) => ScalarType::I32,
-        ScalarType::U8 | ScalarType::I8 | ScalarType::U16 | ScalarType::I16 | ScalarType::F32 => ScalarType::F32,
+        ScalarType::U8 | ScalarType::I8 | ScalarType::U16 | ScalarType::I16 | ScalarType::F32 => {
+            ScalarType::F32
+        }
         _ => ScalarType::F64,
     };
     (scalar, Rescale::NONE)
@@ -247,14 +296,39 @@ struct VolumeRows<'a> {
 impl VolumeRows<'_> {
     /// Appends the row of the grid at `j` and `k`, in the bytes of the type.
     fn append(&self, j: usize, k: usize, bytes: &mut Vec<u8>) {
-        let Self { stored, voxel_from_world, .. } = self;
-        let Self { deformation, grid, scalar, in_data, fill, .. } = *self;
-        let at = |i: usize| grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+        let Self {
+            stored,
+            voxel_from_world,
+            ..
+        } = self;
+        let Self {
+            deformation,
+            grid,
+            scalar,
+            in_data,
+            fill,
+            ..
+        } = *self;
+        let at = |i: usize| {
+            grid.world_from_voxel
+                .transform_point3(DVec3::new(i as f64, j as f64, k as f64))
+        };
         let [first, step] = [at(0), grid.world_from_voxel.matrix3.x_axis];
         let as_stored = in_data == Rescale::NONE && scalar == scalar_of(&stored.volume.voxels);
-        if let Some(values) = stored.row(deformation, voxel_from_world, [first, step], grid.size[0], as_stored) {
+        if let Some(values) = stored.row(
+            deformation,
+            voxel_from_world,
+            [first, step],
+            grid.size[0],
+            as_stored,
+        ) {
             if as_stored {
-                with_simd(Whole { out: bytes, scalar, values: &values, fill: fill.round() as f32 });
+                with_simd(Whole {
+                    out: bytes,
+                    scalar,
+                    values: &values,
+                    fill: fill.round() as f32,
+                });
             } else {
                 for v in values {
                     let v = if v.is_nan() { fill } else { f64::from(v) };
@@ -264,7 +338,12 @@ impl VolumeRows<'_> {
             return;
         }
         let deformed: Vec<Vec3> = (0..grid.size[0]).map(|i| at(i).as_vec3()).collect();
-        for (i, (source, alpha)) in deformation.stack.sources_and_alphas(&deformed).into_iter().enumerate() {
+        for (i, (source, alpha)) in deformation
+            .stack
+            .sources_and_alphas(&deformed)
+            .into_iter()
+            .enumerate()
+        {
             let seen = alpha >= 0.5 && deformation.cuts.signed_distance_mm(deformed[i]) >= 0.0;
             let value = seen.then(|| {
                 // The walk gives the displacement in single precision; the point itself stays in
@@ -272,7 +351,11 @@ impl VolumeRows<'_> {
                 let exact = at(i) + (source - deformed[i]).as_dvec3();
                 stored.sample(voxel_from_world.transform_point3(exact))
             });
-            put(bytes, scalar, value.flatten().unwrap_or(fill) * in_data.slope + in_data.intercept);
+            put(
+                bytes,
+                scalar,
+                value.flatten().unwrap_or(fill) * in_data.slope + in_data.intercept,
+            );
         }
     }
 }
@@ -290,18 +373,39 @@ pub fn volume(
     options: &BakeOptions,
 ) -> Result<()> {
     let fail = |e: String| Error::value("output", e);
-    let default = || if volume.labels().is_some() { Interpolation::Nearest } else { Interpolation::Linear };
+    let default = || {
+        if volume.labels().is_some() {
+            Interpolation::Nearest
+        } else {
+            Interpolation::Linear
+        }
+    };
     let interpolation = options.interpolation.unwrap_or_else(default);
     let fill = options.fill.unwrap_or(volume.range[0]);
     let progress = options.progress.unwrap_or(&|_| ());
     let scalar = scalar_of(&volume.voxels);
     // A format without slope and intercept gets the data values themselves.
-    let (scalar, written) = if format.states_rescale() { (scalar, volume.rescale) } else { data_type(volume, scalar) };
-    let content = if volume.declared_labels && written == Rescale::NONE { Content::Labels(scalar) } else { Content::Scalar(scalar, written) };
-    let in_data = if written == volume.rescale { Rescale::NONE } else { volume.rescale };
+    let (scalar, written) = if format.states_rescale() {
+        (scalar, volume.rescale)
+    } else {
+        data_type(volume, scalar)
+    };
+    let content = if volume.declared_labels && written == Rescale::NONE {
+        Content::Labels(scalar)
+    } else {
+        Content::Scalar(scalar, written)
+    };
+    let in_data = if written == volume.rescale {
+        Rescale::NONE
+    } else {
+        volume.rescale
+    };
     let mut writer = Writer::new(out, format, grid, content).map_err(fail)?;
     let rows = VolumeRows {
-        stored: StoredInterpolator { volume, interpolation },
+        stored: StoredInterpolator {
+            volume,
+            interpolation,
+        },
         deformation,
         grid,
         voxel_from_world: volume.world_from_voxel.inverse(),
@@ -310,7 +414,13 @@ pub fn volume(
         fill: (fill - volume.rescale.intercept) / volume.rescale.slope,
     };
     let row = |j: usize, k: usize, bytes: &mut Vec<u8>| rows.append(j, k, bytes);
-    slabs(grid, scalar.bytes(), row, |b| writer.push(b).map_err(|e| fail(e.to_string())), progress)?;
+    slabs(
+        grid,
+        scalar.bytes(),
+        row,
+        |b| writer.push(b).map_err(|e| fail(e.to_string())),
+        progress,
+    )?;
     writer.finish().map(drop).map_err(|e| fail(e.to_string()))
 }
 
@@ -319,18 +429,34 @@ pub fn volume(
 ///
 /// # Errors
 /// As [`volume`].
-pub fn field(deformation: &StackAndCuts, grid: &GridGeometry, format: Format, out: &mut dyn Write, progress: &dyn Fn(f32)) -> Result<usize> {
+pub fn field(
+    deformation: &StackAndCuts,
+    grid: &GridGeometry,
+    format: Format,
+    out: &mut dyn Write,
+    progress: &dyn Fn(f32),
+) -> Result<usize> {
     let fail = |e: String| Error::value("output", e);
     let mut writer = Writer::new(out, format, grid, Content::Field).map_err(fail)?;
     let cut = std::sync::atomic::AtomicUsize::new(0);
     let displacement = |i: usize, j: usize, k: usize| {
-        let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)).as_vec3();
+        let p = grid
+            .world_from_voxel
+            .transform_point3(DVec3::new(i as f64, j as f64, k as f64))
+            .as_vec3();
         let (source, alpha) = deformation.stack.source_and_alpha_unclipped(p);
-        (source - p, alpha >= 0.5 && deformation.cuts.signed_distance_mm(p) >= 0.0)
+        (
+            source - p,
+            alpha >= 0.5 && deformation.cuts.signed_distance_mm(p) >= 0.0,
+        )
     };
     // NIfTI stores the components one after the other: the walk is repeated for each instead of
     // storing its results.
-    let passes: &[Option<usize>] = if format.planar() { &[Some(0), Some(1), Some(2)] } else { &[None] };
+    let passes: &[Option<usize>] = if format.planar() {
+        &[Some(0), Some(1), Some(2)]
+    } else {
+        &[None]
+    };
     for (n, pass) in passes.iter().enumerate() {
         let row = |j: usize, k: usize, bytes: &mut Vec<u8>| {
             for i in 0..grid.size[0] {
@@ -345,9 +471,13 @@ pub fn field(deformation: &StackAndCuts, grid: &GridGeometry, format: Format, ou
             }
         };
         let whole = passes.len() as f32;
-        slabs(grid, if pass.is_some() { 4 } else { 12 }, row, |b| writer.push(b).map_err(|e| fail(e.to_string())), &|s| {
-            progress((n as f32 + s) / whole)
-        })?;
+        slabs(
+            grid,
+            if pass.is_some() { 4 } else { 12 },
+            row,
+            |b| writer.push(b).map_err(|e| fail(e.to_string())),
+            &|s| progress((n as f32 + s) / whole),
+        )?;
     }
     writer.finish().map(drop).map_err(|e| fail(e.to_string()))?;
     Ok(cut.into_inner())
@@ -361,16 +491,45 @@ mod tests {
     /// type's range.
     #[test]
     fn whole_values_become_bytes() {
-        let values: Vec<f32> = (0..21).map(|n| if n % 5 == 3 { f32::NAN } else { (n * 12) as f32 }).collect();
+        let values: Vec<f32> = (0..21)
+            .map(|n| if n % 5 == 3 { f32::NAN } else { (n * 12) as f32 })
+            .collect();
         for fill in [-7.0, 3.0, 300.0, 70_000.0] {
             for (scalar, bytes) in [
-                (ScalarType::U8, values.iter().map(|v| if v.is_nan() { fill as u8 } else { *v as u8 }).collect::<Vec<u8>>()),
-                (ScalarType::U16, values.iter().flat_map(|v| (if v.is_nan() { fill as u16 } else { *v as u16 }).to_le_bytes()).collect()),
-                (ScalarType::I16, values.iter().flat_map(|v| (if v.is_nan() { fill as i16 } else { -*v as i16 }).to_le_bytes()).collect()),
+                (
+                    ScalarType::U8,
+                    values
+                        .iter()
+                        .map(|v| if v.is_nan() { fill as u8 } else { *v as u8 })
+                        .collect::<Vec<u8>>(),
+                ),
+                (
+                    ScalarType::U16,
+                    values
+                        .iter()
+                        .flat_map(|v| (if v.is_nan() { fill as u16 } else { *v as u16 }).to_le_bytes())
+                        .collect(),
+                ),
+                (
+                    ScalarType::I16,
+                    values
+                        .iter()
+                        .flat_map(|v| (if v.is_nan() { fill as i16 } else { -*v as i16 }).to_le_bytes())
+                        .collect(),
+                ),
             ] {
-                let values: Vec<f32> = if scalar == ScalarType::I16 { values.iter().map(|v| -v).collect() } else { values.clone() };
+                let values: Vec<f32> = if scalar == ScalarType::I16 {
+                    values.iter().map(|v| -v).collect()
+                } else {
+                    values.clone()
+                };
                 let mut out = vec![9];
-                with_simd(Whole { out: &mut out, scalar, values: &values, fill });
+                with_simd(Whole {
+                    out: &mut out,
+                    scalar,
+                    values: &values,
+                    fill,
+                });
                 assert_eq!(out[1..], bytes, "{scalar:?} {fill}");
             }
         }
@@ -382,7 +541,10 @@ mod tests {
         struct Full(usize);
         impl Write for Full {
             fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-                self.0 = self.0.checked_sub(bytes.len()).ok_or_else(|| std::io::Error::other("no space left"))?;
+                self.0 = self
+                    .0
+                    .checked_sub(bytes.len())
+                    .ok_or_else(|| std::io::Error::other("no space left"))?;
                 Ok(bytes.len())
             }
             fn flush(&mut self) -> std::io::Result<()> {
@@ -390,14 +552,33 @@ mod tests {
             }
         }
         let size = [256, 256, 100];
-        let v = Volume::new(Voxels::new(size, vec![1i16; 256 * 256 * 100]), Rescale::NONE, DAffine3::IDENTITY);
+        let v = Volume::new(
+            Voxels::new(size, vec![1i16; 256 * 256 * 100]),
+            Rescale::NONE,
+            DAffine3::IDENTITY,
+        );
         let (stack, cuts) = (Stack::default(), crate::deform::cut::CutShapes::default());
-        let deformation = StackAndCuts { stack: &stack, cuts: &cuts };
-        let bake = |room: usize| volume(&v, &deformation, &v.geometry(), Format::Nifti, &mut Full(room), &BakeOptions::default());
+        let deformation = StackAndCuts {
+            stack: &stack,
+            cuts: &cuts,
+        };
+        let bake = |room: usize| {
+            volume(
+                &v,
+                &deformation,
+                &v.geometry(),
+                Format::Nifti,
+                &mut Full(room),
+                &BakeOptions::default(),
+            )
+        };
         let bytes = 352 + 2 * 256 * 256 * 100;
         for room in [1000, bytes / 2, bytes - 1] {
             let result = bake(room).map_err(|e| e.to_string());
-            assert!(result.as_ref().is_err_and(|e| e.contains("no space left")), "{room}: {result:?}");
+            assert!(
+                result.as_ref().is_err_and(|e| e.contains("no space left")),
+                "{room}: {result:?}"
+            );
         }
         assert!(bake(bytes).is_ok());
     }
@@ -411,12 +592,18 @@ mod tests {
             })
             .collect();
         let v = Volume::new(Voxels::new([7; 3], voxels), Rescale::NONE, DAffine3::IDENTITY);
-        let s = StoredInterpolator { volume: &v, interpolation: Interpolation::Cubic };
+        let s = StoredInterpolator {
+            volume: &v,
+            interpolation: Interpolation::Cubic,
+        };
         let p = DVec3::new(2.3, 3.7, 3.1);
         assert!((s.sample(p).unwrap_or(f64::NAN) - (p.x * p.x - 2.0 * p.y)).abs() < 1e-9);
         assert_eq!(s.sample(DVec3::new(4.0, 2.0, 1.0)), Some(12.0));
         assert_eq!(s.sample(DVec3::new(-0.6, 0.0, 0.0)), None);
-        let linear = StoredInterpolator { volume: &v, interpolation: Interpolation::Linear };
+        let linear = StoredInterpolator {
+            volume: &v,
+            interpolation: Interpolation::Linear,
+        };
         assert!((linear.sample(DVec3::new(2.5, 1.0, 0.0)).unwrap_or(f64::NAN) - 4.5).abs() < 1e-12);
     }
 }

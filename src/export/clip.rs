@@ -50,12 +50,17 @@ impl ClipFormat {
     /// # Errors
     /// Any other extension.
     pub fn of(path: &Path) -> Result<Self> {
-        let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Frames) };
+        let Some(ending) = path.extension().filter(|_| !path.is_dir()) else {
+            return Ok(Self::Frames);
+        };
         match ending.to_string_lossy().to_lowercase().as_str() {
             "gif" => Ok(Self::Gif),
             "png" | "apng" => Ok(Self::Apng),
             "mp4" => Ok(Self::Mp4),
-            _ => Err(Error::file(path, "does not name a clip format; use .gif, .png or .apng, .mp4, or no extension for a folder of frames")),
+            _ => Err(Error::file(
+                path,
+                "does not name a clip format; use .gif, .png or .apng, .mp4, or no extension for a folder of frames",
+            )),
         }
     }
 }
@@ -90,15 +95,34 @@ pub fn write(
     let format = ClipFormat::of(path)?;
     let [least, most] = FRAMES_PER_SECOND;
     if !(least..=most).contains(&frames_per_second) {
-        return Err(Error::value("frames per second", format!("{frames_per_second} is outside {least} to {most}")));
+        return Err(Error::value(
+            "frames per second",
+            format!("{frames_per_second} is outside {least} to {most}"),
+        ));
     }
     if !(1..=MAX_FRAMES).contains(&count) {
-        return Err(Error::value("frames", format!("a clip of {count} frames cannot be made; it has 1 to {MAX_FRAMES}")));
+        return Err(Error::value(
+            "frames",
+            format!("a clip of {count} frames cannot be made; it has 1 to {MAX_FRAMES}"),
+        ));
     }
     if size.contains(&0) {
-        return Err(Error::value("size", format!("{} x {} is not a valid clip size; each edge must be at least 1 pixel", size[0], size[1])));
+        return Err(Error::value(
+            "size",
+            format!(
+                "{} x {} is not a valid clip size; each edge must be at least 1 pixel",
+                size[0], size[1]
+            ),
+        ));
     }
-    let mut clip = Clip { path, size, frames_per_second: f64::from(frames_per_second), count, frame, watch };
+    let mut clip = Clip {
+        path,
+        size,
+        frames_per_second: f64::from(frames_per_second),
+        count,
+        frame,
+        watch,
+    };
     match format {
         ClipFormat::Gif => clip.gif(),
         ClipFormat::Apng => clip.apng(),
@@ -114,7 +138,10 @@ impl Clip<'_> {
         let rgba = (self.frame)(n)?;
         let [width, height] = self.size;
         if rgba.len() as u64 != 4 * u64::from(width) * u64::from(height) {
-            let problem = format!("has {} bytes, which is not {width} x {height} pixels of RGBA", rgba.len());
+            let problem = format!(
+                "has {} bytes, which is not {width} x {height} pixels of RGBA",
+                rgba.len()
+            );
             return Err(Error::value(format!("frame {}", n + 1), problem));
         }
         (self.watch.progress)((n + 1) as f32 / self.count as f32);
@@ -123,7 +150,10 @@ impl Clip<'_> {
 
     fn gif(&mut self) -> Result<()> {
         if self.frames_per_second > MAX_GIF_FRAMES_PER_SECOND {
-            let problem = format!("{} is too many for a GIF; use at most {MAX_GIF_FRAMES_PER_SECOND}, or .png", self.frames_per_second);
+            let problem = format!(
+                "{} is too many for a GIF; use at most {MAX_GIF_FRAMES_PER_SECOND}, or .png",
+                self.frames_per_second
+            );
             return Err(Error::value("frames per second", problem));
         }
         let path = self.path;
@@ -135,8 +165,11 @@ impl Clip<'_> {
                 let mut rgba = self.frame(n)?;
                 all_or_nothing(&mut rgba);
                 let delay = Delay::from_numer_denom_ms(10 * hundredths(n, self.frames_per_second), 1);
-                let picture = RgbaImage::from_raw(self.size[0], self.size[1], rgba).ok_or_else(|| Error::file(path, "has a frame without pixels"))?;
-                encoder.encode_frame(image::Frame::from_parts(picture, 0, 0, delay)).map_err(failed)?;
+                let picture = RgbaImage::from_raw(self.size[0], self.size[1], rgba)
+                    .ok_or_else(|| Error::file(path, "has a frame without pixels"))?;
+                encoder
+                    .encode_frame(image::Frame::from_parts(picture, 0, 0, delay))
+                    .map_err(failed)?;
             }
             Ok(())
         })
@@ -172,12 +205,21 @@ impl Clip<'_> {
         if path.is_dir() {
             let mut entries = std::fs::read_dir(path).map_err(|e| Error::io(path, "reading", e))?;
             if entries.next().is_some() {
-                return Err(Error::file(path, "is a folder that is not empty; name a new one for the frames"));
+                return Err(Error::file(
+                    path,
+                    "is a folder that is not empty; name a new one for the frames",
+                ));
             }
         } else if path.exists() {
-            return Err(Error::file(path, "is a file; name a new folder for the frames, or a clip with an ending (.gif, .png, .mp4)"));
+            return Err(Error::file(
+                path,
+                "is a file; name a new folder for the frames, or a clip with an ending (.gif, .png, .mp4)",
+            ));
         }
-        let beside = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let beside = path
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
         let folder = PartFolder::in_folder(beside).map_err(|e| Error::io(path, "making", e))?;
         let digits = self.count.to_string().len().max(4);
         for n in 0..self.count {
@@ -187,7 +229,8 @@ impl Clip<'_> {
                 .write_image(&rgba, self.size[0], self.size[1], ExtendedColorType::Rgba8)
                 .map_err(|e| encoding(path, "PNG", e))?;
             let file = format!("frame-{:0digits$}.png", n + 1);
-            std::fs::write(folder.path().join(&file), &bytes).map_err(|e| Error::io(&path.join(&file), "writing", e))?;
+            std::fs::write(folder.path().join(&file), &bytes)
+                .map_err(|e| Error::io(&path.join(&file), "writing", e))?;
         }
         folder.persist(path).map_err(|e| Error::io(path, "writing", e))
     }
@@ -211,16 +254,30 @@ impl Clip<'_> {
         target.push(file.as_os_str());
         let mut ffmpeg = Command::new("ffmpeg")
             .args(["-hide_banner", "-loglevel", "error", "-y"])
-            .args(["-f", "rawvideo", "-pix_fmt", "rgba", "-s", &size, "-r", &rate, "-i", "-"])
+            .args([
+                "-f", "rawvideo", "-pix_fmt", "rgba", "-s", &size, "-r", &rate, "-i", "-",
+            ])
             // Chroma has half the resolution, so both edges must be even.
-            .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"])
+            .args([
+                "-vf",
+                "pad=ceil(iw/2)*2:ceil(ih/2)*2",
+                "-pix_fmt",
+                "yuv420p",
+                "-movflags",
+                "+faststart",
+                "-f",
+                "mp4",
+            ])
             .arg(target)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::from(stderr_file.try_clone().map_err(writing)?))
             .spawn()
             .map_err(|e| match e.kind() {
-                ErrorKind::NotFound => Error::file(path, "needs the program ffmpeg, which is not there; install it, or choose .gif or .png"),
+                ErrorKind::NotFound => Error::file(
+                    path,
+                    "needs the program ffmpeg, which is not there; install it, or choose .gif or .png",
+                ),
                 _ => Error::io(Path::new("ffmpeg"), "starting", e),
             })?;
         let fed = match ffmpeg.stdin.take() {
@@ -231,12 +288,25 @@ impl Clip<'_> {
             // It may already have exited.
             let _ = ffmpeg.kill();
         }
-        let status = ffmpeg.wait().map_err(|e| Error::io(Path::new("ffmpeg"), "waiting for it", e))?;
+        let status = ffmpeg
+            .wait()
+            .map_err(|e| Error::io(Path::new("ffmpeg"), "waiting for it", e))?;
         if !(fed? && status.success()) {
             let mut words = Vec::new();
-            stderr_file.rewind().and_then(|()| stderr_file.read_to_end(&mut words)).map_err(writing)?;
-            let words: String = String::from_utf8_lossy(&words).trim().chars().take(LONGEST_QUOTE).collect();
-            return Err(Error::file(path, format!("ffmpeg failed ({status}): {words}; choose .gif or .png")).printable());
+            stderr_file
+                .rewind()
+                .and_then(|()| stderr_file.read_to_end(&mut words))
+                .map_err(writing)?;
+            let words: String = String::from_utf8_lossy(&words)
+                .trim()
+                .chars()
+                .take(LONGEST_QUOTE)
+                .collect();
+            return Err(Error::file(
+                path,
+                format!("ffmpeg failed ({status}): {words}; choose .gif or .png"),
+            )
+            .printable());
         }
         Ok(())
     }
@@ -272,8 +342,15 @@ fn hundredths(n: usize, frames_per_second: f64) -> u32 {
 
 /// Display time of a frame of an animated PNG, as a fraction of a second.
 fn seconds(frames_per_second: f64) -> (u16, u16) {
-    let numerator: u16 = if frames_per_second * 1000.0 <= f64::from(u16::MAX) { 1000 } else { 100 };
-    (numerator, (f64::from(numerator) * frames_per_second).round() as u16)
+    let numerator: u16 = if frames_per_second * 1000.0 <= f64::from(u16::MAX) {
+        1000
+    } else {
+        100
+    };
+    (
+        numerator,
+        (f64::from(numerator) * frames_per_second).round() as u16,
+    )
 }
 
 /// Makes pixels with alpha below one half transparent and all others opaque.
@@ -310,16 +387,33 @@ mod tests {
     const SIZE: [u32; 2] = [8, 6];
 
     fn pixels(n: usize) -> Vec<u8> {
-        let pixel = |p: usize| [(40 * n + p) as u8, (p * 5) as u8, 100, if p % 7 == n { 0 } else { 255 }];
+        let pixel = |p: usize| {
+            [
+                (40 * n + p) as u8,
+                (p * 5) as u8,
+                100,
+                if p % 7 == n { 0 } else { 255 },
+            ]
+        };
         (0..48).flat_map(pixel).collect()
     }
 
     fn write_three(path: &Path, frames_per_second: f32) -> Result<()> {
-        write(path, SIZE, frames_per_second, 3, &mut |n| Ok(pixels(n)), &Watch::NONE)
+        write(
+            path,
+            SIZE,
+            frames_per_second,
+            3,
+            &mut |n| Ok(pixels(n)),
+            &Watch::NONE,
+        )
     }
 
     fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<String> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<String> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         names
     }
@@ -329,7 +423,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("clip.png");
         write_three(&path, 25.0).unwrap();
-        let decoder = PngDecoder::new(Cursor::new(std::fs::read(&path).unwrap())).unwrap().apng().unwrap();
+        let decoder = PngDecoder::new(Cursor::new(std::fs::read(&path).unwrap()))
+            .unwrap()
+            .apng()
+            .unwrap();
         let frames = decoder.into_frames().collect_frames().unwrap();
         assert_eq!(frames.len(), 3);
         for (n, frame) in frames.iter().enumerate() {
@@ -345,16 +442,26 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("clip.GIF");
         write_three(&path, 25.0).unwrap();
-        let frames = GifDecoder::new(Cursor::new(std::fs::read(&path).unwrap())).unwrap().into_frames().collect_frames().unwrap();
+        let frames = GifDecoder::new(Cursor::new(std::fs::read(&path).unwrap()))
+            .unwrap()
+            .into_frames()
+            .collect_frames()
+            .unwrap();
         assert_eq!(frames.len(), 3);
         for (n, frame) in frames.iter().enumerate() {
             assert_eq!(frame.delay().numer_denom_ms(), (40, 1));
             for (p, (shown, meant)) in frame.buffer().pixels().zip(pixels(n).chunks_exact(4)).enumerate() {
                 assert_eq!(shown[3], meant[3], "frame {n}, pixel {p}");
-                assert!(meant[3] == 0 || shown.0 == *meant, "frame {n}, pixel {p}: {shown:?}, not {meant:?}");
+                assert!(
+                    meant[3] == 0 || shown.0 == *meant,
+                    "frame {n}, pixel {p}: {shown:?}, not {meant:?}"
+                );
             }
         }
-        assert!(write_three(&path, 60.0).is_err(), "a GIF faster than viewers show");
+        assert!(
+            write_three(&path, 60.0).is_err(),
+            "a GIF faster than viewers show"
+        );
     }
 
     #[test]
@@ -362,7 +469,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("frames");
         write_three(&path, 25.0).unwrap();
-        assert_eq!(names(&path), ["frame-0001.png", "frame-0002.png", "frame-0003.png"]);
+        assert_eq!(
+            names(&path),
+            ["frame-0001.png", "frame-0002.png", "frame-0003.png"]
+        );
         let second = image::load_from_memory(&std::fs::read(path.join("frame-0002.png")).unwrap()).unwrap();
         assert_eq!(second.into_rgba8().into_raw(), pixels(1));
         assert!(write_three(&path, 25.0).is_err(), "frames over others");
@@ -379,7 +489,10 @@ mod tests {
         for name in ["clip.gif", "clip.apng", "frames"] {
             let path = folder.path().join(name);
             let stop = AtomicBool::new(false);
-            let watch = Watch { progress: &|_| (), cancel: &stop };
+            let watch = Watch {
+                progress: &|_| (),
+                cancel: &stop,
+            };
             let mut frame_count = 0;
             let stopped = write(
                 &path,
@@ -393,10 +506,25 @@ mod tests {
                 },
                 &watch,
             );
-            assert!(matches!(stopped, Err(Error::Cancelled)) && frame_count == 2, "{name}: {stopped:?}");
-            let frame = |n: usize| if n == 2 { Err(Error::value("frame", "none")) } else { Ok(pixels(n)) };
-            assert!(write(&path, SIZE, 25.0, 3, &mut |n| frame(n), &Watch::NONE).is_err(), "{name}");
-            assert!(write(&path, SIZE, 25.0, 3, &mut |_| Ok(vec![0; 7]), &Watch::NONE).is_err(), "{name}");
+            assert!(
+                matches!(stopped, Err(Error::Cancelled)) && frame_count == 2,
+                "{name}: {stopped:?}"
+            );
+            let frame = |n: usize| {
+                if n == 2 {
+                    Err(Error::value("frame", "none"))
+                } else {
+                    Ok(pixels(n))
+                }
+            };
+            assert!(
+                write(&path, SIZE, 25.0, 3, &mut |n| frame(n), &Watch::NONE).is_err(),
+                "{name}"
+            );
+            assert!(
+                write(&path, SIZE, 25.0, 3, &mut |_| Ok(vec![0; 7]), &Watch::NONE).is_err(),
+                "{name}"
+            );
             assert_eq!(names(folder.path()), [""; 0], "{name}");
         }
     }
@@ -409,7 +537,10 @@ mod tests {
         match write_three(&path, 25.0) {
             Ok(()) => assert_eq!(&std::fs::read(&path).unwrap()[4..8], b"ftyp"),
             Err(e) => {
-                assert!(e.to_string().contains("ffmpeg") && e.to_string().contains(".gif or .png"), "{e}");
+                assert!(
+                    e.to_string().contains("ffmpeg") && e.to_string().contains(".gif or .png"),
+                    "{e}"
+                );
                 assert_eq!(names(folder.path()), [""; 0]);
             }
         }
@@ -417,12 +548,23 @@ mod tests {
 
     #[test]
     fn endings_name_formats() {
-        for (path, format) in [("a/b.gif", ClipFormat::Gif), ("b.PNG", ClipFormat::Apng), ("b.apng", ClipFormat::Apng), ("b.mp4", ClipFormat::Mp4)] {
+        for (path, format) in [
+            ("a/b.gif", ClipFormat::Gif),
+            ("b.PNG", ClipFormat::Apng),
+            ("b.apng", ClipFormat::Apng),
+            ("b.mp4", ClipFormat::Mp4),
+        ] {
             assert_eq!(ClipFormat::of(Path::new(path)).unwrap(), format, "{path}");
         }
-        assert_eq!(ClipFormat::of(Path::new("no/such/frames")).unwrap(), ClipFormat::Frames);
+        assert_eq!(
+            ClipFormat::of(Path::new("no/such/frames")).unwrap(),
+            ClipFormat::Frames
+        );
         for path in ["a.webm", "a.jpg", "a.b.c"] {
-            assert!(ClipFormat::of(Path::new(path)).is_err_and(|e| e.to_string().contains(".gif")), "{path}");
+            assert!(
+                ClipFormat::of(Path::new(path)).is_err_and(|e| e.to_string().contains(".gif")),
+                "{path}"
+            );
         }
     }
 
@@ -432,7 +574,10 @@ mod tests {
         let path = folder.path().join("clip.png");
         let write = |size, rate, count| write(&path, size, rate, count, &mut |n| Ok(pixels(n)), &Watch::NONE);
         assert!(
-            write([0, 6], 25.0, 3).is_err() && write(SIZE, 0.0, 3).is_err() && write(SIZE, f32::NAN, 3).is_err() && write(SIZE, 25.0, 0).is_err()
+            write([0, 6], 25.0, 3).is_err()
+                && write(SIZE, 0.0, 3).is_err()
+                && write(SIZE, f32::NAN, 3).is_err()
+                && write(SIZE, 25.0, 0).is_err()
         );
         assert_eq!(names(folder.path()), [""; 0]);
     }
@@ -443,7 +588,10 @@ mod tests {
         assert!((0..1000).all(|n| hundredths(n, 50.0) == 2 && hundredths(n, 48.0) >= 2));
         for rate in [0.1, 1.0, 29.97, 30.0, 60.0, 120.0, 240.0] {
             let (numerator, denominator) = seconds(rate);
-            assert!((f64::from(denominator) / f64::from(numerator) - rate).abs() < 1e-9, "{rate}: {numerator}/{denominator}");
+            assert!(
+                (f64::from(denominator) / f64::from(numerator) - rate).abs() < 1e-9,
+                "{rate}: {numerator}/{denominator}"
+            );
         }
     }
 

@@ -48,7 +48,10 @@ impl FixedPointPositions {
         for (n, at) in at.iter_mut().enumerate() {
             *at = fixed(start + step * n as f64);
         }
-        Self { at, eight: fixed(step * LANES as f64) }
+        Self {
+            at,
+            eight: fixed(step * LANES as f64),
+        }
     }
 
     /// For an axis of `n` voxels: the lower voxel and the fraction of each position after
@@ -63,10 +66,13 @@ impl FixedPointPositions {
         }
         let share = i32x8::load_array(simd, share).to_float::<f32x8<S>>() * (1.0 / 16_777_216.0) + moved;
         let more = share.floor();
-        let (whole, share) = (i32x8::load_array(simd, whole) + more.to_int::<i32x8<S>>(), share - more);
+        let (whole, share) = (
+            i32x8::load_array(simd, whole) + more.to_int::<i32x8<S>>(),
+            share - more,
+        );
         let last = n as i32 - 1;
-        let inside =
-            (whole.simd_ge(0) | (whole.simd_eq(-1) & share.simd_ge(0.5))) & (whole.simd_lt(last) | (whole.simd_eq(last) & share.simd_le(0.5)));
+        let inside = (whole.simd_ge(0) | (whole.simd_eq(-1) & share.simd_ge(0.5)))
+            & (whole.simd_lt(last) | (whole.simd_eq(last) & share.simd_le(0.5)));
         let below = whole.simd_lt(0).select(f32x8::splat(simd, 0.0), share);
         let share = whole.simd_ge(last).select(f32x8::splat(simd, 1.0), below);
         (whole.max(0).min(last - 1), share, inside)
@@ -84,12 +90,24 @@ impl<T: Voxel> SimdKernel for BakeRow<'_, T> {
         let everyone = mask32x8::splat(simd, true);
         let linear = rows.voxel_from_world.matrix3;
         let voxels_per_mm: Mat3 = linear.as_mat3();
-        let (start, along) = (rows.voxel_from_world.transform_point3(rows.first), linear * rows.step);
+        let (start, along) = (
+            rows.voxel_from_world.transform_point3(rows.first),
+            linear * rows.step,
+        );
         let nothing = f32x8::splat(simd, f32::NAN);
-        let (mut along_x, mut along_y, mut along_z) =
-            (FixedPointPositions::new(start.x, along.x), FixedPointPositions::new(start.y, along.y), FixedPointPositions::new(start.z, along.z));
-        let (origin, step) = (Vec3x8::splat(simd, rows.first.as_vec3()), Vec3x8::splat(simd, rows.step.as_vec3()));
-        let line = rows.deformation.stack.line(rows.first.as_vec3(), rows.step.as_vec3());
+        let (mut along_x, mut along_y, mut along_z) = (
+            FixedPointPositions::new(start.x, along.x),
+            FixedPointPositions::new(start.y, along.y),
+            FixedPointPositions::new(start.z, along.z),
+        );
+        let (origin, step) = (
+            Vec3x8::splat(simd, rows.first.as_vec3()),
+            Vec3x8::splat(simd, rows.step.as_vec3()),
+        );
+        let line = rows
+            .deformation
+            .stack
+            .line(rows.first.as_vec3(), rows.step.as_vec3());
         let mut number = [0.0; LANES];
         for (n, number) in number.iter_mut().enumerate() {
             *number = n as f32;
@@ -99,7 +117,10 @@ impl<T: Voxel> SimdKernel for BakeRow<'_, T> {
         for _ in 0..rows.count.div_ceil(LANES) {
             let deformed = origin + step * number;
             number += 8.0;
-            let walk = rows.deformation.stack.source_and_alpha_on_line(simd, deformed, everyone, line.as_ref());
+            let walk =
+                rows.deformation
+                    .stack
+                    .source_and_alpha_on_line(simd, deformed, everyone, line.as_ref());
             let moved = (walk.source - deformed).mapped(&voxels_per_mm);
             let (i, x, inside_x) = along_x.next(simd, moved.x, nx);
             let (j, y, inside_y) = along_y.next(simd, moved.y, ny);
@@ -107,12 +128,19 @@ impl<T: Voxel> SimdKernel for BakeRow<'_, T> {
             let mut seen = walk.alpha.simd_ge(0.5) & inside_x & inside_y & inside_z;
             if !rows.deformation.cuts.is_empty() {
                 for n in lanes_of(seen.to_bitmask()) {
-                    seen.set(n, rows.deformation.cuts.signed_distance_mm(deformed.lane(n)) >= 0.0);
+                    seen.set(
+                        n,
+                        rows.deformation.cuts.signed_distance_mm(deformed.lane(n)) >= 0.0,
+                    );
                 }
             }
             let near = flat(i, j, k, rows.size);
             let value = mix_rows(T::cells(simd, voxels, &near, strides), Vec3x8 { x, y, z });
-            let value = if rows.whole { (value + f32x8::splat(simd, 0.5).copysign(value)).trunc() } else { value };
+            let value = if rows.whole {
+                (value + f32x8::splat(simd, 0.5).copysign(value)).trunc()
+            } else {
+                value
+            };
             values.extend_from_slice(seen.select(value, nothing).as_slice());
         }
         values.truncate(rows.count);

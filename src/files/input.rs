@@ -49,7 +49,10 @@ fn ordinary(path: &Path, metadata: &std::fs::Metadata) -> Result<()> {
     match metadata.file_type() {
         t if t.is_file() => Ok(()),
         t if t.is_dir() => Err(Error::file(path, "is a folder; name a file in it")),
-        _ => Err(Error::file(path, "is not a regular file (it is a pipe, a socket or a device); save its content to a file and name that")),
+        _ => Err(Error::file(
+            path,
+            "is not a regular file (it is a pipe, a socket or a device); save its content to a file and name that",
+        )),
     }
 }
 
@@ -73,7 +76,13 @@ pub fn unzipped(path: &Path) -> Result<(Box<dyn Read + Send>, u64)> {
     reader.read_exact(&mut magic).map_err(|e| read_error(path, e))?;
     let start = std::io::Cursor::new(magic);
     if magic == [0x1f, 0x8b] {
-        Ok((Box::new(BufReader::with_capacity(BUFFER, MultiGzDecoder::new(start.chain(reader)))), file_bytes.saturating_mul(DEFLATE_LIMIT)))
+        Ok((
+            Box::new(BufReader::with_capacity(
+                BUFFER,
+                MultiGzDecoder::new(start.chain(reader)),
+            )),
+            file_bytes.saturating_mul(DEFLATE_LIMIT),
+        ))
     } else {
         Ok((Box::new(start.chain(reader)), file_bytes))
     }
@@ -82,11 +91,17 @@ pub fn unzipped(path: &Path) -> Result<(Box<dyn Read + Send>, u64)> {
 /// A read error as a message about the file.
 pub fn read_error(path: &Path, e: std::io::Error) -> Error {
     match e.kind() {
-        ErrorKind::UnexpectedEof => Error::file(path, "ends too early: the file is truncated; copy or download it again"),
-        ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::Other => {
-            Error::file(path, format!("its compressed stream is damaged ({e}); copy or download it again"))
+        ErrorKind::UnexpectedEof => Error::file(
+            path,
+            "ends too early: the file is truncated; copy or download it again",
+        ),
+        ErrorKind::InvalidInput | ErrorKind::InvalidData | ErrorKind::Other => Error::file(
+            path,
+            format!("its compressed stream is damaged ({e}); copy or download it again"),
+        ),
+        ErrorKind::OutOfMemory => {
+            Error::file(path, "needs more memory than is available; close other programs")
         }
-        ErrorKind::OutOfMemory => Error::file(path, "needs more memory than is available; close other programs"),
         _ => Error::io(path, "reading", e),
     }
 }
@@ -98,7 +113,10 @@ pub fn read_error(path: &Path, e: std::io::Error) -> Error {
 pub fn bytes(path: &Path, most: u64, what: &str) -> Result<Vec<u8>> {
     let (file, length) = open(path)?;
     if length > most {
-        return Err(Error::file(path, format!("is {length} bytes long, too large for a {what} (at most {most} bytes)")));
+        return Err(Error::file(
+            path,
+            format!("is {length} bytes long, too large for a {what} (at most {most} bytes)"),
+        ));
     }
     read_all(path, file, length, most, what)
 }
@@ -113,7 +131,11 @@ pub fn unzipped_bytes(path: &Path, most: u64, what: &str) -> Result<Vec<u8>> {
     if !packed.starts_with(&[0x1f, 0x8b]) {
         return Ok(packed);
     }
-    let most = most.min((packed.len() as u64).saturating_mul(TEXT_RATIO).max(ALWAYS_BELIEVED));
+    let most = most.min(
+        (packed.len() as u64)
+            .saturating_mul(TEXT_RATIO)
+            .max(ALWAYS_BELIEVED),
+    );
     read_all(path, MultiGzDecoder::new(&packed[..]), 0, most, what)
 }
 
@@ -121,7 +143,12 @@ fn read_all(path: &Path, reader: impl Read, expected: u64, most: u64, what: &str
     let mut all = memory::reserve(path, expected as usize)?;
     grow(path, &mut all, reader, most.saturating_add(1))?;
     if all.len() as u64 > most {
-        return Err(Error::file(path, format!("unpacks to more than {most} bytes, too much for a {what} of its size; it is damaged or malicious")));
+        return Err(Error::file(
+            path,
+            format!(
+                "unpacks to more than {most} bytes, too much for a {what} of its size; it is damaged or malicious"
+            ),
+        ));
     }
     Ok(all)
 }
@@ -143,7 +170,11 @@ fn grow(path: &Path, all: &mut Vec<u8>, reader: impl Read, most: u64) -> Result<
     let mut reader = reader.take(most);
     let mut piece = 1u64 << 24;
     loop {
-        let read = reader.by_ref().take(piece).read_to_end(all).map_err(|e| read_error(path, e))?;
+        let read = reader
+            .by_ref()
+            .take(piece)
+            .read_to_end(all)
+            .map_err(|e| read_error(path, e))?;
         if (read as u64) < piece {
             return Ok(());
         }
@@ -157,7 +188,8 @@ fn grow(path: &Path, all: &mut Vec<u8>, reader: impl Read, most: u64) -> Result<
 /// # Errors
 /// As [`bytes`]; bytes that are not UTF-8.
 pub fn text(path: &Path, most: u64, what: &str) -> Result<String> {
-    String::from_utf8(bytes(path, most, what)?).map_err(|_| Error::file(path, format!("is not text in UTF-8, so it is not a {what}")))
+    String::from_utf8(bytes(path, most, what)?)
+        .map_err(|_| Error::file(path, format!("is not text in UTF-8, so it is not a {what}")))
 }
 
 #[cfg(test)]
@@ -171,16 +203,33 @@ mod tests {
         let path = folder.path().join("bomb.obj.gz");
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         for _ in 0..300 {
-            encoder.write_all(&[b'#'; 1 << 20]).unwrap_or_else(|e| panic!("{e}"));
+            encoder
+                .write_all(&[b'#'; 1 << 20])
+                .unwrap_or_else(|e| panic!("{e}"));
         }
         let packed = encoder.finish().unwrap_or_else(|e| panic!("{e}"));
         assert!(packed.len() < 1 << 20);
         std::fs::write(&path, packed).unwrap_or_else(|e| panic!("{e}"));
-        let error = unzipped_bytes(&path, 4 << 30, "mesh").err().map(|e| e.to_string()).unwrap_or_default();
+        let error = unzipped_bytes(&path, 4 << 30, "mesh")
+            .err()
+            .map(|e| e.to_string())
+            .unwrap_or_default();
         assert!(error.contains("unpacks to more than"), "{error}");
-        assert!(bytes(&path, 10, "list").err().is_some_and(|e| e.to_string().contains("too large for a list")));
-        assert!(text(&path, 1 << 20, "list").err().is_some_and(|e| e.to_string().contains("not text")));
-        assert!(bytes(folder.path(), 10, "list").err().is_some_and(|e| e.to_string().contains("is a folder")));
+        assert!(
+            bytes(&path, 10, "list")
+                .err()
+                .is_some_and(|e| e.to_string().contains("too large for a list"))
+        );
+        assert!(
+            text(&path, 1 << 20, "list")
+                .err()
+                .is_some_and(|e| e.to_string().contains("not text"))
+        );
+        assert!(
+            bytes(folder.path(), 10, "list")
+                .err()
+                .is_some_and(|e| e.to_string().contains("is a folder"))
+        );
     }
 
     #[cfg(target_os = "linux")]
@@ -190,7 +239,11 @@ mod tests {
         let link = folder.path().join("zero.toml");
         std::os::unix::fs::symlink("/dev/zero", &link).unwrap_or_else(|e| panic!("{e}"));
         for path in [&link, Path::new("/dev/zero")] {
-            assert!(open(path).err().is_some_and(|e| e.to_string().contains("not a regular file")));
+            assert!(
+                open(path)
+                    .err()
+                    .is_some_and(|e| e.to_string().contains("not a regular file"))
+            );
         }
     }
 }

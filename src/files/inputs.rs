@@ -30,12 +30,18 @@ impl FileId {
     #[cfg(unix)]
     fn with(_path: &Path, metadata: &Metadata) -> Option<Self> {
         use std::os::unix::fs::MetadataExt;
-        Some(Self { device_and_inode: (metadata.dev(), metadata.ino()), born: metadata.created().ok() })
+        Some(Self {
+            device_and_inode: (metadata.dev(), metadata.ino()),
+            born: metadata.created().ok(),
+        })
     }
 
     #[cfg(not(unix))]
     fn with(path: &Path, metadata: &Metadata) -> Option<Self> {
-        Some(Self { path: path.canonicalize().ok()?, born: metadata.created().ok() })
+        Some(Self {
+            path: path.canonicalize().ok()?,
+            born: metadata.created().ok(),
+        })
     }
 }
 
@@ -73,11 +79,19 @@ pub fn name_of(path: &Path) -> Option<PathBuf> {
     }
     // For a file that does not exist yet, its folder is checked.
     let absolute = path.canonicalize().or_else(|_| {
-        let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        parent.canonicalize().map(|p| p.join(path.file_name().unwrap_or_default()))
+        let parent = path
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
+        parent
+            .canonicalize()
+            .map(|p| p.join(path.file_name().unwrap_or_default()))
     });
     let absolute = absolute.ok()?;
-    absolute.ancestors().skip(1).find_map(|folder| FileId::of(folder).and_then(|id| registered.get(&id).cloned()))
+    absolute
+        .ancestors()
+        .skip(1)
+        .find_map(|folder| FileId::of(folder).and_then(|id| registered.get(&id).cloned()))
 }
 
 #[cfg(test)]

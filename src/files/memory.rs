@@ -9,7 +9,12 @@ use std::path::Path;
 pub fn available_bytes() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find(|l| l.starts_with("MemAvailable:"))?;
-    let machine = line.split_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1024)?;
+    let machine = line
+        .split_whitespace()
+        .nth(1)?
+        .parse::<u64>()
+        .ok()?
+        .checked_mul(1024)?;
     let available = control_group_bytes().map_or(machine, |group| group.min(machine));
     // A part is left for other processes.
     Some(available - available / 16)
@@ -20,11 +25,22 @@ fn control_group_bytes() -> Option<u64> {
     let group = std::fs::read_to_string("/proc/self/cgroup").ok()?;
     let name = group.lines().find_map(|l| l.strip_prefix("0::"))?;
     let folder = Path::new("/sys/fs/cgroup").join(name.trim_start_matches('/'));
-    let number = |file: &str| std::fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u64>().ok();
+    let number = |file: &str| {
+        std::fs::read_to_string(folder.join(file))
+            .ok()?
+            .trim()
+            .parse::<u64>()
+            .ok()
+    };
     // Cached pages of files count as used, but are reclaimed at once.
     let cached = std::fs::read_to_string(folder.join("memory.stat"))
         .ok()
-        .and_then(|s| s.lines().find_map(|l| l.strip_prefix("inactive_file "))?.parse::<u64>().ok());
+        .and_then(|s| {
+            s.lines()
+                .find_map(|l| l.strip_prefix("inactive_file "))?
+                .parse::<u64>()
+                .ok()
+        });
     Some(number("memory.max")?.saturating_sub(number("memory.current")?.saturating_sub(cached.unwrap_or(0))))
 }
 
@@ -32,7 +48,11 @@ fn control_group_bytes() -> Option<u64> {
 pub fn peak_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+    line.split_whitespace()
+        .nth(1)?
+        .parse::<u64>()
+        .ok()
+        .map(|kib| kib * 1024)
 }
 
 /// Returns an error if more memory is needed than is available.
@@ -49,8 +69,17 @@ pub fn check(path: &Path, bytes: u64) -> Result<()> {
 
 fn too_large(path: &Path, bytes: u64, available: Option<u64>) -> Error {
     let mib = |b: u64| b.div_ceil(1 << 20);
-    let there = available.map_or_else(|| "more than is available".to_owned(), |a| format!("but only {} MiB are available", mib(a)));
-    Error::file(path, format!("needs {} MiB of memory, {there}; close other programs or use a downsampled copy", mib(bytes)))
+    let there = available.map_or_else(
+        || "more than is available".to_owned(),
+        |a| format!("but only {} MiB are available", mib(a)),
+    );
+    Error::file(
+        path,
+        format!(
+            "needs {} MiB of memory, {there}; close other programs or use a downsampled copy",
+            mib(bytes)
+        ),
+    )
 }
 
 /// Capacity for `count` values, reserved with an error instead of an abort.
@@ -63,7 +92,9 @@ pub fn reserve<T>(path: &Path, count: usize) -> Result<Vec<T>> {
         check(path, bytes)?;
     }
     let mut values = Vec::new();
-    values.try_reserve_exact(count).map_err(|_| too_large(path, bytes, None))?;
+    values
+        .try_reserve_exact(count)
+        .map_err(|_| too_large(path, bytes, None))?;
     Ok(values)
 }
 
@@ -73,7 +104,10 @@ mod tests {
 
     #[test]
     fn what_there_is_not_is_refused() {
-        let error = reserve::<u64>(Path::new("huge.raw"), 1 << 50).err().map(|e| e.to_string()).unwrap_or_default();
+        let error = reserve::<u64>(Path::new("huge.raw"), 1 << 50)
+            .err()
+            .map(|e| e.to_string())
+            .unwrap_or_default();
         assert!(error.starts_with("huge.raw: needs 8589934592 MiB"), "{error}");
         assert!(reserve::<u64>(Path::new("small.raw"), 1 << 20).is_ok_and(|v| v.capacity() >= 1 << 20));
         #[cfg(target_os = "linux")]

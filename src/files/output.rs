@@ -38,7 +38,11 @@ enum Destination {
 
 /// Standard output: `-` and the system's names for it.
 pub fn standard_output() -> OutputFile {
-    OutputFile { path: PathBuf::from("standard output"), destination: Destination::StandardOutput, replaces_read: false }
+    OutputFile {
+        path: PathBuf::from("standard output"),
+        destination: Destination::StandardOutput,
+        replaces_read: false,
+    }
 }
 
 /// Checks that two outputs are not the same file.
@@ -50,11 +54,16 @@ pub fn check_distinct(first: &Path, option: &str, second: &Path) -> Result<()> {
         // A stream can take both, one after the other.
         (Some(a), Some(b)) => a == b && std::fs::metadata(first).is_ok_and(|m| m.is_file()),
         // Neither exists yet: compare the targets of their links.
-        (None, None) => matches!((target(first), target(second)), (Ok(a), Ok(b)) if absolute(&a) == absolute(&b)),
+        (None, None) => {
+            matches!((target(first), target(second)), (Ok(a), Ok(b)) if absolute(&a) == absolute(&b))
+        }
         _ => false,
     };
     if same {
-        Err(Error::value(format!("{option} {}", second.display()), "names the same file as another output; choose another name"))
+        Err(Error::value(
+            format!("{option} {}", second.display()),
+            "names the same file as another output; choose another name",
+        ))
     } else {
         Ok(())
     }
@@ -62,8 +71,14 @@ pub fn check_distinct(first: &Path, option: &str, second: &Path) -> Result<()> {
 
 /// The absolute path of a file that need not exist, with the links of its folder resolved.
 fn absolute(path: &Path) -> PathBuf {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder)).unwrap_or_else(|_| folder.to_owned());
+    let folder = path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
+    let folder = folder
+        .canonicalize()
+        .or_else(|_| std::path::absolute(folder))
+        .unwrap_or_else(|_| folder.to_owned());
     path.file_name().map_or(folder.clone(), |name| folder.join(name))
 }
 
@@ -71,10 +86,15 @@ fn absolute(path: &Path) -> PathBuf {
 fn target(path: &Path) -> Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
-        let Ok(next) = std::fs::read_link(&path) else { return Ok(path) };
+        let Ok(next) = std::fs::read_link(&path) else {
+            return Ok(path);
+        };
         path = path.parent().unwrap_or(Path::new("")).join(next);
     }
-    Err(Error::file(&path, "is a link that leads back to itself; choose another name"))
+    Err(Error::file(
+        &path,
+        "is a link that leads back to itself; choose another name",
+    ))
 }
 
 /// Whether a path is, or links to, one of the system's names for an open file of the process
@@ -82,11 +102,16 @@ fn target(path: &Path) -> Result<PathBuf> {
 fn names_an_open_file(path: &Path) -> bool {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
-        let folder = path.parent().and_then(|f| f.canonicalize().ok()).unwrap_or_default();
+        let folder = path
+            .parent()
+            .and_then(|f| f.canonicalize().ok())
+            .unwrap_or_default();
         if folder.ends_with("fd") && (folder.starts_with("/proc") || folder.starts_with("/dev")) {
             return cfg!(unix);
         }
-        let Ok(next) = std::fs::read_link(&path) else { break };
+        let Ok(next) = std::fs::read_link(&path) else {
+            break;
+        };
         path = folder.join(next);
     }
     false
@@ -97,7 +122,14 @@ fn names_an_open_file(path: &Path) -> bool {
 /// # Errors
 /// It is write-protected.
 fn check_replaceable(path: &Path, there: &Metadata) -> Result<()> {
-    if there.permissions().readonly() { Err(Error::file(path, "is read-only; choose another name, or make it writable")) } else { Ok(()) }
+    if there.permissions().readonly() {
+        Err(Error::file(
+            path,
+            "is read-only; choose another name, or make it writable",
+        ))
+    } else {
+        Ok(())
+    }
 }
 
 impl OutputFile {
@@ -128,17 +160,30 @@ impl OutputFile {
             return Self::create(path);
         }
         if std::io::stdout().is_terminal() {
-            return Err(Error::value("-", "standard output is a terminal; redirect it to a file or a pipe, or name an output file"));
+            return Err(Error::value(
+                "-",
+                "standard output is a terminal; redirect it to a file or a pipe, or name an output file",
+            ));
         }
         Ok(standard_output())
     }
 
     fn tried(path: &Path, replaces_read: bool) -> Result<Self> {
         let writing = |e| Error::io(path, "writing", e);
-        let of = |destination| Ok(Self { path: path.to_owned(), destination, replaces_read });
+        let of = |destination| {
+            Ok(Self {
+                path: path.to_owned(),
+                destination,
+                replaces_read,
+            })
+        };
         match path.to_str() {
-            Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") if cfg!(unix) => return of(Destination::StandardOutput),
-            Some("/dev/stderr" | "/dev/fd/2" | "/proc/self/fd/2") if cfg!(unix) => return of(Destination::StandardError),
+            Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") if cfg!(unix) => {
+                return of(Destination::StandardOutput);
+            }
+            Some("/dev/stderr" | "/dev/fd/2" | "/proc/self/fd/2") if cfg!(unix) => {
+                return of(Destination::StandardError);
+            }
             _ => {}
         }
         let output = match std::fs::metadata(path) {
@@ -175,12 +220,15 @@ impl OutputFile {
         };
         match inputs::name_of(target).filter(|_| !self.replaces_read) {
             None => Ok(()),
-            Some(read) if read == self.path => {
-                Err(Error::file(&self.path, "is an input of this run, and inputs are never overwritten; choose another name"))
-            }
+            Some(read) if read == self.path => Err(Error::file(
+                &self.path,
+                "is an input of this run, and inputs are never overwritten; choose another name",
+            )),
             Some(read) => {
-                let problem =
-                    format!("is, or is part of, {}, an input of this run, and inputs are never overwritten; choose another name", read.display());
+                let problem = format!(
+                    "is, or is part of, {}, an input of this run, and inputs are never overwritten; choose another name",
+                    read.display()
+                );
                 Err(Error::file(&self.path, problem))
             }
         }
@@ -198,12 +246,25 @@ impl OutputFile {
 
     /// A new file next to the destination.
     fn part(&self) -> Result<Option<PartFile>> {
-        let Destination::File(target) = &self.destination else { return Ok(None) };
-        let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let Destination::File(target) = &self.destination else {
+            return Ok(None);
+        };
+        let folder = target
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
         if !folder.is_dir() {
-            return Err(Error::file(&self.path, format!("the folder {} does not exist; create it, or choose another one", folder.display())));
+            return Err(Error::file(
+                &self.path,
+                format!(
+                    "the folder {} does not exist; create it, or choose another one",
+                    folder.display()
+                ),
+            ));
         }
-        PartFile::in_folder(folder).map(Some).map_err(|e| Error::io(&self.path, "writing", e))
+        PartFile::in_folder(folder)
+            .map(Some)
+            .map_err(|e| Error::io(&self.path, "writing", e))
     }
 
     /// Writes the content and moves the file into place.
@@ -212,7 +273,10 @@ impl OutputFile {
     /// A full disk, a destination that cannot be replaced.
     pub fn finish(self, content: &[u8]) -> Result<()> {
         let path = self.path.clone();
-        self.finish_with(|file| file.write_all(content).map_err(|e| Error::io(&path, "writing", e)))
+        self.finish_with(|file| {
+            file.write_all(content)
+                .map_err(|e| Error::io(&path, "writing", e))
+        })
     }
 
     /// As [`Self::finish`], with the content written piece by piece. A closed reader of standard
@@ -225,7 +289,9 @@ impl OutputFile {
         let writing = |e| Error::io(&self.path, "writing", e);
         match &self.destination {
             Destination::File(target) => {
-                let Some(mut part) = self.part()? else { return Ok(()) };
+                let Some(mut part) = self.part()? else {
+                    return Ok(());
+                };
                 buffered(part.file().map_err(writing)?, &self.path, write)?;
                 self.finish_part(part, target)
             }
@@ -237,7 +303,11 @@ impl OutputFile {
                 buffered(options.open(&self.path).map_err(writing)?, &self.path, write)
             }
             #[cfg(unix)]
-            Destination::Socket => buffered(std::os::unix::net::UnixStream::connect(&self.path).map_err(writing)?, &self.path, write),
+            Destination::Socket => buffered(
+                std::os::unix::net::UnixStream::connect(&self.path).map_err(writing)?,
+                &self.path,
+                write,
+            ),
             Destination::StandardOutput => match buffered(std::io::stdout().lock(), &self.path, write) {
                 Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => Ok(()),
                 done => done,
@@ -254,7 +324,10 @@ impl OutputFile {
     pub fn finish_by_path(self, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
         self.check()?;
         let Destination::File(target) = &self.destination else {
-            return Err(Error::file(&self.path, "is a pipe, a socket, a device or an open file, and this output needs a file of its own; name one"));
+            return Err(Error::file(
+                &self.path,
+                "is a pipe, a socket, a device or an open file, and this output needs a file of its own; name one",
+            ));
         };
         let Some(part) = self.part()? else { return Ok(()) };
         write(part.path())?;
@@ -268,7 +341,10 @@ impl OutputFile {
         // Another process may have changed it since the check.
         if let Ok(before) = std::fs::symlink_metadata(target) {
             if !before.is_file() {
-                return Err(Error::file(&self.path, "was replaced by something other than a file during writing; choose another name"));
+                return Err(Error::file(
+                    &self.path,
+                    "was replaced by something other than a file during writing; choose another name",
+                ));
             }
             check_replaceable(&self.path, &before)?;
             keep_owner_and_mode(file, &before);
@@ -304,7 +380,8 @@ fn stream(there: &Metadata) -> Destination {
 /// device can have any effect.
 fn check_may_be_written(path: &Path) -> Result<()> {
     #[cfg(unix)]
-    rustix::fs::access(path, rustix::fs::Access::WRITE_OK).map_err(|e| Error::io(path, "writing", e.into()))?;
+    rustix::fs::access(path, rustix::fs::Access::WRITE_OK)
+        .map_err(|e| Error::io(path, "writing", e.into()))?;
     let _ = path;
     Ok(())
 }
@@ -317,7 +394,8 @@ fn keep_owner_and_mode(file: &std::fs::File, before: &Metadata) {
         use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
         let own = file.metadata().ok();
         if own.is_none_or(|o| (o.uid(), o.gid()) != (before.uid(), before.gid())) {
-            let _not_allowed = fchown(file, Some(before.uid()), Some(before.gid())).or_else(|_| fchown(file, None, Some(before.gid())));
+            let _not_allowed = fchown(file, Some(before.uid()), Some(before.gid()))
+                .or_else(|_| fchown(file, None, Some(before.gid())));
         }
         let _not_allowed = file.set_permissions(std::fs::Permissions::from_mode(before.mode() & 0o7777));
     }
@@ -334,16 +412,29 @@ mod tests {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let path = folder.path().join("a.png");
         drop(OutputFile::create(&path));
-        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(0));
-        OutputFile::create(&path).and_then(|o| o.finish(b"x")).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(
+            std::fs::read_dir(folder.path()).map(Iterator::count).ok(),
+            Some(0)
+        );
+        OutputFile::create(&path)
+            .and_then(|o| o.finish(b"x"))
+            .unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
         assert!(OutputFile::create(&folder.path().join("no/such/a.png")).is_err());
         assert!(OutputFile::create(folder.path()).is_err());
-        let failing = OutputFile::create(&path)
-            .and_then(|o| o.finish_with(|f| f.write_all(b"half").map_err(|e| Error::io(&path, "", e)).and(Err(Error::Cancelled))));
+        let failing = OutputFile::create(&path).and_then(|o| {
+            o.finish_with(|f| {
+                f.write_all(b"half")
+                    .map_err(|e| Error::io(&path, "", e))
+                    .and(Err(Error::Cancelled))
+            })
+        });
         assert!(failing.is_err());
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"x"[..]));
-        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(1));
+        assert_eq!(
+            std::fs::read_dir(folder.path()).map(Iterator::count).ok(),
+            Some(1)
+        );
     }
 
     #[test]
@@ -356,7 +447,10 @@ mod tests {
         let error_text = |r: Result<()>| r.err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error_text(late.finish(b"y")).contains("is an input"));
         assert!(error_text(OutputFile::create(&path).map(drop)).contains("is an input"));
-        assert_eq!(error_text(OutputFile::replacing(&path).and_then(|o| o.finish(b"y"))), "");
+        assert_eq!(
+            error_text(OutputFile::replacing(&path).and_then(|o| o.finish(b"y"))),
+            ""
+        );
         assert_eq!(std::fs::read(&path).ok().as_deref(), Some(&b"y"[..]));
     }
 
@@ -369,14 +463,27 @@ mod tests {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         type Case = (&'static str, fn(&Path), Option<&'static str>);
         let made: [Case; 4] = [
-            ("file", |p| std::fs::write(p, "old").unwrap_or_else(|e| panic!("{e}")), None),
-            ("link", |p| std::os::unix::fs::symlink("elsewhere", p).unwrap_or_else(|e| panic!("{e}")), Some("other than a file")),
-            ("folder", |p| std::fs::create_dir(p).unwrap_or_else(|e| panic!("{e}")), Some("other than a file")),
+            (
+                "file",
+                |p| std::fs::write(p, "old").unwrap_or_else(|e| panic!("{e}")),
+                None,
+            ),
+            (
+                "link",
+                |p| std::os::unix::fs::symlink("elsewhere", p).unwrap_or_else(|e| panic!("{e}")),
+                Some("other than a file"),
+            ),
+            (
+                "folder",
+                |p| std::fs::create_dir(p).unwrap_or_else(|e| panic!("{e}")),
+                Some("other than a file"),
+            ),
             (
                 "protected",
                 |p| {
                     std::fs::write(p, "old").unwrap_or_else(|e| panic!("{e}"));
-                    std::fs::set_permissions(p, std::fs::Permissions::from_mode(0o444)).unwrap_or_else(|e| panic!("{e}"));
+                    std::fs::set_permissions(p, std::fs::Permissions::from_mode(0o444))
+                        .unwrap_or_else(|e| panic!("{e}"));
                 },
                 Some("read-only"),
             ),
@@ -388,11 +495,26 @@ mod tests {
             let before = std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok();
             let error_text = output.finish(b"new").err().map(|e| e.to_string());
             assert_eq!(error_text.is_some(), refusal.is_some(), "{name}: {error_text:?}");
-            assert!(error_text.unwrap_or_default().contains(refusal.unwrap_or_default()), "{name}");
-            assert_eq!(std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok(), before, "{name}");
+            assert!(
+                error_text
+                    .unwrap_or_default()
+                    .contains(refusal.unwrap_or_default()),
+                "{name}"
+            );
+            assert_eq!(
+                std::fs::symlink_metadata(&path).map(|m| m.file_type()).ok(),
+                before,
+                "{name}"
+            );
         }
-        assert_eq!(std::fs::read(folder.path().join("file")).ok().as_deref(), Some(&b"new"[..]));
-        assert_eq!(std::fs::read_dir(folder.path()).map(Iterator::count).ok(), Some(4));
+        assert_eq!(
+            std::fs::read(folder.path().join("file")).ok().as_deref(),
+            Some(&b"new"[..])
+        );
+        assert_eq!(
+            std::fs::read_dir(folder.path()).map(Iterator::count).ok(),
+            Some(4)
+        );
     }
 
     #[cfg(unix)]
@@ -404,10 +526,19 @@ mod tests {
         for (target, link) in [("a", "link"), ("new", "dangling"), ("loop", "loop")] {
             std::os::unix::fs::symlink(target, at(link)).unwrap_or_else(|e| panic!("{e}"));
         }
-        for (one, other, same) in
-            [("a", "link", true), ("a", "a", true), ("new", "dangling", true), ("new", "other", false), ("a", "other", false), ("new", "./new", true)]
-        {
-            assert_eq!(check_distinct(&at(one), "--stats", &at(other)).is_err(), same, "{one} {other}");
+        for (one, other, same) in [
+            ("a", "link", true),
+            ("a", "a", true),
+            ("new", "dangling", true),
+            ("new", "other", false),
+            ("a", "other", false),
+            ("new", "./new", true),
+        ] {
+            assert_eq!(
+                check_distinct(&at(one), "--stats", &at(other)).is_err(),
+                same,
+                "{one} {other}"
+            );
         }
         assert!(check_distinct(Path::new("/dev/null"), "--stats", Path::new("/dev/null")).is_ok());
         assert!(OutputFile::create(&at("loop")).is_err());

@@ -15,7 +15,12 @@ pub fn text_of(path: &Path) -> String {
         let mut text = String::new();
         for chunk in path.as_os_str().as_bytes().utf8_chunks() {
             text.push_str(chunk.valid());
-            text.extend(chunk.invalid().iter().filter_map(|b| char::from_u32(PRIVATE + u32::from(*b))));
+            text.extend(
+                chunk
+                    .invalid()
+                    .iter()
+                    .filter_map(|b| char::from_u32(PRIVATE + u32::from(*b))),
+            );
         }
         text
     }
@@ -54,7 +59,13 @@ mod tests {
 
     #[test]
     fn every_name_comes_back() {
-        for bytes in [&b"plain.nii"[..], "größe.nii".as_bytes(), b"caf\xe9 \xff.nii", b"\xc3", b"a/\x80\x81/b"] {
+        for bytes in [
+            &b"plain.nii"[..],
+            "größe.nii".as_bytes(),
+            b"caf\xe9 \xff.nii",
+            b"\xc3",
+            b"a/\x80\x81/b",
+        ] {
             let path = Path::new(OsStr::from_bytes(bytes));
             assert_eq!(path_of(&text_of(path)), path);
         }

@@ -25,7 +25,10 @@ pub fn outside_is_allowed() -> bool {
 /// # Errors
 /// A name that leads out of that folder, by itself or by a link, unless this is allowed.
 pub fn sibling_file(from: &Path, name: &str) -> Result<PathBuf> {
-    let folder = from.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = from
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     file_in_folder(from, folder, name)
 }
 
@@ -34,9 +37,15 @@ pub fn sibling_file(from: &Path, name: &str) -> Result<PathBuf> {
 /// # Errors
 /// As [`sibling_file`].
 pub fn file_in_folder(from: &Path, folder: &Path, name: &str) -> Result<PathBuf> {
-    let file = if folder == Path::new(".") { PathBuf::from(name) } else { folder.join(name) };
+    let file = if folder == Path::new(".") {
+        PathBuf::from(name)
+    } else {
+        folder.join(name)
+    };
     if !outside_is_allowed() && (climbs(Path::new(name)) || leads_out(folder, &file)) {
-        let problem = format!("refers to the file {name}, which is outside its folder; move that file into the folder, or use --allow-outside");
+        let problem = format!(
+            "refers to the file {name}, which is outside its folder; move that file into the folder, or use --allow-outside"
+        );
         return Err(Error::file(from, problem));
     }
     Ok(file)
@@ -72,8 +81,12 @@ pub fn links_left_out(links: &[PathBuf]) -> Option<String> {
     let first = links.first()?;
     let name = first.file_name().unwrap_or(first.as_os_str()).to_string_lossy();
     Some(match links.len() {
-        1 => format!("the link {name} leads out of this folder and was not followed; use --allow-outside to follow it"),
-        n => format!("{n} links ({name} and others) lead out of this folder and were not followed; use --allow-outside to follow them"),
+        1 => format!(
+            "the link {name} leads out of this folder and was not followed; use --allow-outside to follow it"
+        ),
+        n => format!(
+            "{n} links ({name} and others) lead out of this folder and were not followed; use --allow-outside to follow them"
+        ),
     })
 }
 
@@ -89,7 +102,10 @@ mod tests {
         for name in ["a", "a/b.raw", "./a", "a/../b", "..a", "a/.."] {
             assert!(sibling_file(Path::new("/x/head.nhdr"), name).is_ok(), "{name}");
         }
-        assert_eq!(sibling_file(Path::new("head.nhdr"), "a.raw").ok(), Some(PathBuf::from("a.raw")));
+        assert_eq!(
+            sibling_file(Path::new("head.nhdr"), "a.raw").ok(),
+            Some(PathBuf::from("a.raw"))
+        );
     }
 
     #[cfg(unix)]
@@ -97,12 +113,21 @@ mod tests {
     fn links_that_leave_their_folder() {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let at = |name: &str| folder.path().join(name);
-        std::fs::create_dir(at("own")).and_then(|()| std::fs::write(at("elsewhere"), "x")).unwrap_or_else(|e| panic!("{e}"));
+        std::fs::create_dir(at("own"))
+            .and_then(|()| std::fs::write(at("elsewhere"), "x"))
+            .unwrap_or_else(|e| panic!("{e}"));
         std::fs::write(at("own/data"), "x").unwrap_or_else(|e| panic!("{e}"));
         for (target, link) in [("../elsewhere", "own/out"), ("data", "own/in")] {
             std::os::unix::fs::symlink(target, at(link)).unwrap_or_else(|e| panic!("{e}"));
         }
-        assert!(sibling_file(&at("own/head.nhdr"), "out").is_err() && sibling_file(&at("own/head.nhdr"), "in").is_ok());
-        assert!(is_link_out(&at("own"), &at("own/out")) && !is_link_out(&at("own"), &at("own/in")) && !is_link_out(&at("own"), &at("own/data")));
+        assert!(
+            sibling_file(&at("own/head.nhdr"), "out").is_err()
+                && sibling_file(&at("own/head.nhdr"), "in").is_ok()
+        );
+        assert!(
+            is_link_out(&at("own"), &at("own/out"))
+                && !is_link_out(&at("own"), &at("own/in"))
+                && !is_link_out(&at("own"), &at("own/data"))
+        );
     }
 }

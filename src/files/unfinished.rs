@@ -27,7 +27,10 @@ static HOST: LazyLock<String> = LazyLock::new(|| {
     let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
     #[cfg(not(unix))]
     let name = std::env::var("COMPUTERNAME").unwrap_or_default();
-    name.chars().filter(char::is_ascii_alphanumeric).take(32).collect()
+    name.chars()
+        .filter(char::is_ascii_alphanumeric)
+        .take(32)
+        .collect()
 });
 
 fn builder(prefix: &str) -> tempfile::Builder<'_, 'static> {
@@ -66,7 +69,10 @@ impl PartFile {
         let file = builder.tempfile_in(folder)?;
         let path = file.path().to_owned();
         registered.insert(path.clone());
-        Ok(Self { file: Some(file), path })
+        Ok(Self {
+            file: Some(file),
+            path,
+        })
     }
 
     /// The file, for writing.
@@ -74,7 +80,10 @@ impl PartFile {
     /// # Errors
     /// None before the file has been moved into place.
     pub fn file(&mut self) -> std::io::Result<&mut std::fs::File> {
-        self.file.as_mut().map(tempfile::NamedTempFile::as_file_mut).ok_or_else(|| std::io::ErrorKind::NotFound.into())
+        self.file
+            .as_mut()
+            .map(tempfile::NamedTempFile::as_file_mut)
+            .ok_or_else(|| std::io::ErrorKind::NotFound.into())
     }
 
     /// Its path.
@@ -119,7 +128,10 @@ impl PartFolder {
         let made = builder(&prefix).tempdir_in(folder)?;
         let path = made.path().to_owned();
         registered.insert(path.clone());
-        Ok(Self { folder: Some(made), path })
+        Ok(Self {
+            folder: Some(made),
+            path,
+        })
     }
 
     /// Its path.
@@ -154,16 +166,32 @@ impl Drop for PartFolder {
 
 fn remove(path: &Path) {
     // It may already be gone, and a failure to remove it cannot be handled.
-    let _gone = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
+    let _gone = if path.is_dir() {
+        std::fs::remove_dir_all(path)
+    } else {
+        std::fs::remove_file(path)
+    };
 }
 
 /// Removes the leftovers of dead processes in a folder.
 fn remove_stale(folder: &Path) {
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return;
+    };
     for entry in entries.flatten() {
         let name = entry.file_name();
-        let Some(name) = name.to_str().and_then(|n| n.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)) else { continue };
-        let age = entry.metadata().and_then(|m| m.modified()).ok().and_then(|t| t.elapsed().ok()).unwrap_or_default();
+        let Some(name) = name
+            .to_str()
+            .and_then(|n| n.strip_prefix(PREFIX)?.strip_suffix(SUFFIX))
+        else {
+            continue;
+        };
+        let age = entry
+            .metadata()
+            .and_then(|m| m.modified())
+            .ok()
+            .and_then(|t| t.elapsed().ok())
+            .unwrap_or_default();
         if is_stale(name, age) {
             remove(&entry.path());
         }
@@ -186,9 +214,17 @@ fn is_stale(name: &str, age: Duration) -> bool {
 fn is_alive(process: u32) -> bool {
     #[cfg(unix)]
     {
-        let Some(process) = i32::try_from(process).ok().and_then(rustix::process::Pid::from_raw) else { return false };
+        let Some(process) = i32::try_from(process)
+            .ok()
+            .and_then(rustix::process::Pid::from_raw)
+        else {
+            return false;
+        };
         // A process of another user cannot be signalled, but is alive.
-        !matches!(rustix::process::test_kill_process(process), Err(rustix::io::Errno::SRCH))
+        !matches!(
+            rustix::process::test_kill_process(process),
+            Err(rustix::io::Errno::SRCH)
+        )
     }
     #[cfg(not(unix))]
     {
@@ -213,8 +249,12 @@ pub fn remove_on_signals() {
     {
         use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
         let ignored = ignored_signals();
-        let heeded = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|s| ignored & (1 << (s - 1)) == 0);
-        let Ok(mut signals) = signal_hook::iterator::Signals::new(heeded) else { return };
+        let heeded = [SIGINT, SIGTERM, SIGHUP]
+            .into_iter()
+            .filter(|s| ignored & (1 << (s - 1)) == 0);
+        let Ok(mut signals) = signal_hook::iterator::Signals::new(heeded) else {
+            return;
+        };
         let waiting = std::thread::Builder::new().name("signals".into()).spawn(move || {
             if let Some(signal) = signals.forever().next() {
                 // Held until exit, so that no new file is created.
@@ -234,7 +274,8 @@ pub fn remove_on_signals() {
 fn ignored_signals() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|l| l.strip_prefix("SigIgn:"));
-    mask.and_then(|m| u64::from_str_radix(m.trim(), 16).ok()).unwrap_or(0)
+    mask.and_then(|m| u64::from_str_radix(m.trim(), 16).ok())
+        .unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -264,14 +305,21 @@ mod tests {
     fn the_next_write_clears_up() {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
         let at = |name: String| folder.path().join(name);
-        let (dead, fresh, other) =
-            (at(format!("{PREFIX}{}-{}-x{SUFFIX}", *HOST, 1 << 30)), at(format!("{PREFIX}{}-{}-y{SUFFIX}", *HOST, 1 << 30)), at("notes.part".into()));
+        let (dead, fresh, other) = (
+            at(format!("{PREFIX}{}-{}-x{SUFFIX}", *HOST, 1 << 30)),
+            at(format!("{PREFIX}{}-{}-y{SUFFIX}", *HOST, 1 << 30)),
+            at("notes.part".into()),
+        );
         for path in [&dead, &fresh, &other] {
             std::fs::write(path, "x").unwrap_or_else(|e| panic!("{e}"));
         }
         let long_ago = std::time::SystemTime::now() - Duration::from_secs(3600);
         for path in [&dead, &other] {
-            std::fs::File::options().write(true).open(path).and_then(|f| f.set_modified(long_ago)).unwrap_or_else(|e| panic!("{e}"));
+            std::fs::File::options()
+                .write(true)
+                .open(path)
+                .and_then(|f| f.set_modified(long_ago))
+                .unwrap_or_else(|e| panic!("{e}"));
         }
         let part = PartFile::in_folder(folder.path()).unwrap_or_else(|e| panic!("{e}"));
         assert!(!dead.exists() && fresh.exists() && other.exists() && part.path().exists());

@@ -30,8 +30,12 @@ pub struct Device {
 }
 
 /// Optional features; each has a fallback.
-const WISHES: [Features; 4] =
-    [Features::TEXTURE_FORMAT_16BIT_NORM, Features::FLOAT32_FILTERABLE, Features::FLOAT32_BLENDABLE, Features::TIMESTAMP_QUERY];
+const WISHES: [Features; 4] = [
+    Features::TEXTURE_FORMAT_16BIT_NORM,
+    Features::FLOAT32_FILTERABLE,
+    Features::FLOAT32_BLENDABLE,
+    Features::TIMESTAMP_QUERY,
+];
 
 impl Device {
     /// Opens the best adapter: discrete, then integrated, then others, then (if accepted) a
@@ -73,7 +77,10 @@ impl Device {
                 AdapterPreference::Any => "no usable graphics driver found; install one (on Debian: mesa-vulkan-drivers) or use --backend cpu".into(),
             })
         })?;
-        let features = WISHES.into_iter().filter(|f| adapter.features().contains(*f)).fold(Features::empty(), |all, f| all | f);
+        let features = WISHES
+            .into_iter()
+            .filter(|f| adapter.features().contains(*f))
+            .fold(Features::empty(), |all, f| all | f);
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("incise"),
             required_features: features,
@@ -81,12 +88,24 @@ impl Device {
             required_limits: adapter.limits(),
             ..Default::default()
         };
-        let (device, queue) = adapter.request_device(&descriptor).await.map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
+        let (device, queue) = adapter
+            .request_device(&descriptor)
+            .await
+            .map_err(|e| Error::Gpu(format!("{}: {e}", adapter.get_info().name)))?;
         let lost = Arc::new(AtomicBool::new(false));
         let lost_flag = lost.clone();
         device.set_device_lost_callback(move |_, _| lost_flag.store(true, Ordering::Relaxed));
-        let computes = adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS);
-        Ok(Self { device, queue, adapter: adapter.get_info(), computes, lost })
+        let computes = adapter
+            .get_downlevel_capabilities()
+            .flags
+            .contains(wgpu::DownlevelFlags::COMPUTE_SHADERS);
+        Ok(Self {
+            device,
+            queue,
+            adapter: adapter.get_info(),
+            computes,
+            lost,
+        })
     }
 
     /// Whether the device is lost: the driver was reset, or the device was removed or abandoned.
@@ -130,16 +149,31 @@ async fn usable_adapters(backends: wgpu::Backends) -> Vec<wgpu::Adapter> {
     if backends.is_empty() {
         return Vec::new();
     }
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends,
+        ..descriptor
+    });
     let mut adapters = instance.enumerate_adapters(backends).await;
-    adapters.retain(|a| a.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE));
+    adapters.retain(|a| {
+        a.get_downlevel_capabilities()
+            .flags
+            .contains(wgpu::DownlevelFlags::FRAGMENT_WRITABLE_STORAGE)
+    });
     // Surfaces write their distances to such a texture.
-    let draws = |a: &wgpu::Adapter, format| a.get_texture_format_features(format).allowed_usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
-    adapters.retain(|a| draws(a, wgpu::TextureFormat::R32Float) && draws(a, wgpu::TextureFormat::Rgba16Float));
+    let draws = |a: &wgpu::Adapter, format| {
+        a.get_texture_format_features(format)
+            .allowed_usages
+            .contains(wgpu::TextureUsages::RENDER_ATTACHMENT)
+    };
+    adapters
+        .retain(|a| draws(a, wgpu::TextureFormat::R32Float) && draws(a, wgpu::TextureFormat::Rgba16Float));
     adapters
 }
 
 /// Whether the process can reach a display.
 fn has_display() -> bool {
-    cfg!(not(target_os = "linux")) || ["XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "DISPLAY"].iter().any(|v| std::env::var_os(v).is_some())
+    cfg!(not(target_os = "linux"))
+        || ["XDG_RUNTIME_DIR", "WAYLAND_DISPLAY", "DISPLAY"]
+            .iter()
+            .any(|v| std::env::var_os(v).is_some())
 }

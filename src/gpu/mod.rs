@@ -19,7 +19,11 @@ pub fn checked<T>(device: &wgpu::Device, work: impl FnOnce() -> Result<T>) -> Re
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
     let internal = device.push_error_scope(wgpu::ErrorFilter::Internal);
     let result = work();
-    let problems = [pollster::block_on(internal.pop()), pollster::block_on(validation.pop()), pollster::block_on(memory.pop())];
+    let problems = [
+        pollster::block_on(internal.pop()),
+        pollster::block_on(validation.pop()),
+        pollster::block_on(memory.pop()),
+    ];
     match problems.into_iter().flatten().next() {
         Some(problem) => Err(Error::Gpu(problem.to_string())),
         None => result,
@@ -31,7 +35,9 @@ pub fn checked<T>(device: &wgpu::Device, work: impl FnOnce() -> Result<T>) -> Re
 /// # Errors
 /// A lost device.
 pub fn wait(device: &wgpu::Device) -> Result<()> {
-    device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
+    device
+        .poll(wgpu::PollType::wait_indefinitely())
+        .map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
     Ok(())
 }
 
@@ -40,7 +46,12 @@ pub fn wait(device: &wgpu::Device) -> Result<()> {
 /// # Errors
 /// A lost device.
 pub fn wait_for(device: &wgpu::Device, submission: wgpu::SubmissionIndex) -> Result<()> {
-    let wanted = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
-    device.poll(wanted).map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
+    let wanted = wgpu::PollType::Wait {
+        submission_index: Some(submission),
+        timeout: None,
+    };
+    device
+        .poll(wanted)
+        .map_err(|e| Error::Gpu(format!("the device stopped answering: {e}")))?;
     Ok(())
 }

@@ -10,7 +10,11 @@ use rayon::prelude::*;
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
 /// Maps a buffer and passes its content on.
-fn mapped<T>(device: &wgpu::Device, buffer: &wgpu::Buffer, use_bytes: impl FnOnce(&[u8]) -> Result<T>) -> Result<T> {
+fn mapped<T>(
+    device: &wgpu::Device,
+    buffer: &wgpu::Buffer,
+    use_bytes: impl FnOnce(&[u8]) -> Result<T>,
+) -> Result<T> {
     let (send, receive) = std::sync::mpsc::channel();
     buffer.map_async(wgpu::MapMode::Read, .., move |result| {
         // The receiver lives until the end of this function.
@@ -19,7 +23,9 @@ fn mapped<T>(device: &wgpu::Device, buffer: &wgpu::Buffer, use_bytes: impl FnOnc
     wait(device)?;
     let mapped = receive.recv().map_err(|e| Error::Gpu(e.to_string()))?;
     mapped.map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
-    let view = buffer.get_mapped_range(..).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+    let view = buffer
+        .get_mapped_range(..)
+        .map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
     let result = use_bytes(&view);
     drop(view);
     buffer.unmap();
@@ -38,16 +44,25 @@ pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u
 ///
 /// # Errors
 /// A lost device.
-pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, through: &wgpu::Buffer) -> Result<Vec<[f32; 4]>> {
+pub fn read_rgba16f(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    texture: &wgpu::Texture,
+    through: &wgpu::Buffer,
+) -> Result<Vec<[f32; 4]>> {
     let row_texels = texture.width() as usize;
     let mut pixels = vec![[0.0f32; 4]; row_texels * texture.height() as usize];
     copy(device, queue, texture, through);
     mapped(device, through, |bytes| {
-        let halves: &[f16] = bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+        let halves: &[f16] =
+            bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
         let padded = row_bytes(texture) as usize / 2;
-        pixels.par_chunks_mut(row_texels).zip(halves.par_chunks_exact(padded)).for_each(|(row, halves)| {
-            halves[..4 * row_texels].convert_to_f32_slice(row.as_flattened_mut());
-        });
+        pixels
+            .par_chunks_mut(row_texels)
+            .zip(halves.par_chunks_exact(padded))
+            .for_each(|(row, halves)| {
+                halves[..4 * row_texels].convert_to_f32_slice(row.as_flattened_mut());
+            });
         Ok(())
     })?;
     Ok(pixels)
@@ -57,13 +72,24 @@ pub fn read_rgba16f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::
 ///
 /// # Errors
 /// A lost device.
-pub fn read_r32f(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, through: &wgpu::Buffer) -> Result<Vec<f32>> {
+pub fn read_r32f(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    texture: &wgpu::Texture,
+    through: &wgpu::Buffer,
+) -> Result<Vec<f32>> {
     copy(device, queue, texture, through);
     mapped(device, through, |bytes| {
-        let texels: &[f32] = bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+        let texels: &[f32] =
+            bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
         // The buffer may be larger than this picture.
-        let rows = texels.chunks_exact(row_bytes(texture) as usize / 4).take(texture.height() as usize);
-        Ok(rows.flat_map(|row| &row[..texture.width() as usize]).copied().collect())
+        let rows = texels
+            .chunks_exact(row_bytes(texture) as usize / 4)
+            .take(texture.height() as usize);
+        Ok(rows
+            .flat_map(|row| &row[..texture.width() as usize])
+            .copied()
+            .collect())
     })
 }
 
@@ -82,7 +108,11 @@ fn copy(device: &wgpu::Device, queue: &wgpu::Queue, texture: &wgpu::Texture, buf
         texture.as_image_copy(),
         wgpu::TexelCopyBufferInfo {
             buffer,
-            layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row_bytes(texture)), rows_per_image: Some(texture.height()) },
+            layout: wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(row_bytes(texture)),
+                rows_per_image: Some(texture.height()),
+            },
         },
         texture.size(),
     );

@@ -58,7 +58,12 @@ const MARCH: &str = piece!("lib/march.wgsl");
 const COMPOSITE: &str = piece!("lib/composite.wgsl");
 
 /// Additional pieces shared by the surface programs.
-const SURFACES: [&str; 4] = [piece!("types/surface.wgsl"), piece!("lib/implicit.wgsl"), piece!("lib/formula.wgsl"), piece!("lib/surface.wgsl")];
+const SURFACES: [&str; 4] = [
+    piece!("types/surface.wgsl"),
+    piece!("lib/implicit.wgsl"),
+    piece!("lib/formula.wgsl"),
+    piece!("lib/surface.wgsl"),
+];
 
 impl Program {
     /// All programs.
@@ -81,17 +86,39 @@ impl Program {
 
     /// The program's whole text, `constants` first; `counting` includes the sample counts.
     pub fn source(self, constants: &str, counting: bool) -> String {
-        let count = if counting { piece!("lib/count.wgsl") } else { piece!("lib/count_disabled.wgsl") };
+        let count = if counting {
+            piece!("lib/count.wgsl")
+        } else {
+            piece!("lib/count_disabled.wgsl")
+        };
         let own: &[&str] = match self {
-            Self::Raycast => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("raycast.wgsl")],
-            Self::RaycastCompute => &[MARCH, COMPOSITE, piece!("lib/projection.wgsl"), piece!("lib/ray.wgsl"), count, piece!("raycast_compute.wgsl")],
+            Self::Raycast => &[
+                MARCH,
+                COMPOSITE,
+                piece!("lib/projection.wgsl"),
+                piece!("lib/ray.wgsl"),
+                count,
+                piece!("raycast.wgsl"),
+            ],
+            Self::RaycastCompute => &[
+                MARCH,
+                COMPOSITE,
+                piece!("lib/projection.wgsl"),
+                piece!("lib/ray.wgsl"),
+                count,
+                piece!("raycast_compute.wgsl"),
+            ],
             Self::Slice => &[MARCH, COMPOSITE, count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Opaque => &[piece!("opaque.wgsl")],
             Self::SurfacesBehind => &[piece!("surfaces_behind.wgsl")],
             Self::Probe => &[piece!("probe.wgsl")],
             Self::Compose => &[piece!("compose.wgsl")],
-            Self::Sample => &[piece!("lib/shape.wgsl"), piece!("lib/kinds.wgsl"), piece!("sample.wgsl")],
+            Self::Sample => &[
+                piece!("lib/shape.wgsl"),
+                piece!("lib/kinds.wgsl"),
+                piece!("sample.wgsl"),
+            ],
             Self::Encode => &[piece!("encode.wgsl")],
             Self::Bounds => &[NODE, piece!("bounds.wgsl")],
             Self::Classify => &[NODE, piece!("classify.wgsl")],
@@ -103,7 +130,14 @@ impl Program {
             _ => &[],
         };
         // Programs that make maps read no scene.
-        let shared: &[&str] = if matches!(self, Self::Sample | Self::Encode | Self::Bounds) { &[] } else { &SHARED };
-        std::iter::once(constants).chain(shared.iter().chain(of_surfaces).chain(own).copied()).collect::<Vec<_>>().join("\n")
+        let shared: &[&str] = if matches!(self, Self::Sample | Self::Encode | Self::Bounds) {
+            &[]
+        } else {
+            &SHARED
+        };
+        std::iter::once(constants)
+            .chain(shared.iter().chain(of_surfaces).chain(own).copied())
+            .collect::<Vec<_>>()
+            .join("\n")
     }
 }

@@ -9,7 +9,9 @@ use super::state::history;
 use super::state::history::{CameraHistory, History};
 use super::state::layout::{LayoutPreset, Panel};
 use super::state::log::{Log, LogLevel};
-use super::state::panels::{Brush, Inspector, MapEditor, MeasurePanel, ScenePanel, Thumbnails, TransferPanel};
+use super::state::panels::{
+    Brush, Inspector, MapEditor, MeasurePanel, ScenePanel, Thumbnails, TransferPanel,
+};
 use super::state::session::Session;
 use super::state::slices::Slices;
 use super::state::tool::Tool;
@@ -42,7 +44,11 @@ impl Workstation {
         let mut problems = Vec::new();
         let session = Session::open(options.folder, &mut problems);
         let backend = options.backend.unwrap_or(session.settings.backend);
-        ctx.set_theme(if session.settings.light { egui::Theme::Light } else { egui::Theme::Dark });
+        ctx.set_theme(if session.settings.light {
+            egui::Theme::Light
+        } else {
+            egui::Theme::Dark
+        });
         ctx.set_zoom_factor(session.settings.scale.clamp(0.5, 3.0));
         let layout = LayoutPreset::FourUp;
         let mut app = Self {
@@ -53,7 +59,9 @@ impl Workstation {
             prober: Prober::new(ctx),
             session,
             log: Log::default(),
-            toasts: egui_notify::Toasts::default().with_anchor(egui_notify::Anchor::BottomRight).with_margin(egui::vec2(12.0, 40.0)),
+            toasts: egui_notify::Toasts::default()
+                .with_anchor(egui_notify::Anchor::BottomRight)
+                .with_margin(egui::vec2(12.0, 40.0)),
             dock: layout.dock(),
             layout,
             panels_to_show: Vec::new(),
@@ -115,7 +123,11 @@ impl Workstation {
     pub fn report(&mut self, level: LogLevel, text: impl Into<String>) {
         let text = text.into();
         if self.log.add(level, text.clone()) {
-            let short: String = if text.chars().count() > 220 { text.chars().take(220).chain("… (see Log)".chars()).collect() } else { text };
+            let short: String = if text.chars().count() > 220 {
+                text.chars().take(220).chain("… (see Log)".chars()).collect()
+            } else {
+                text
+            };
             let wrapped = wrapped(&short, 58);
             let duration = Some(Duration::from_secs(if level == LogLevel::Info { 4 } else { 9 }));
             let toast = match level {
@@ -148,7 +160,9 @@ impl Workstation {
                 Err(error) => {
                     let text = error.to_string();
                     match done.target {
-                        JobTarget::Coarse | JobTarget::Fine => self.view.failed(done.target, done.serial, &text),
+                        JobTarget::Coarse | JobTarget::Fine => {
+                            self.view.failed(done.target, done.serial, &text)
+                        }
                         JobTarget::Slice(n) => self.slices.failed(n, done.serial, &text),
                         JobTarget::Compare(side) => self.compare.failed(side, done.serial, &text),
                         JobTarget::Preset(_) | JobTarget::Kind(_) | JobTarget::Measures => continue,
@@ -174,16 +188,26 @@ impl Workstation {
                 self.view.arrived(ctx, target, serial, ms, *shown);
             }
             (JobTarget::Slice(n), JobOutput::Slice(picture)) => self.slices.arrived(ctx, n, serial, *picture),
-            (JobTarget::Compare(side), JobOutput::Picture(shown)) => self.compare_arrived(ctx, side, serial, ms, *shown),
-            (JobTarget::Preset(n), JobOutput::Picture(shown)) => self.thumbnails.preset_arrived(ctx, n, shown.image),
-            (JobTarget::Kind(n), JobOutput::Picture(shown)) => self.thumbnails.kind_arrived(ctx, n, shown.image),
+            (JobTarget::Compare(side), JobOutput::Picture(shown)) => {
+                self.compare_arrived(ctx, side, serial, ms, *shown)
+            }
+            (JobTarget::Preset(n), JobOutput::Picture(shown)) => {
+                self.thumbnails.preset_arrived(ctx, n, shown.image)
+            }
+            (JobTarget::Kind(n), JobOutput::Picture(shown)) => {
+                self.thumbnails.kind_arrived(ctx, n, shown.image)
+            }
             (JobTarget::Measures, JobOutput::Measures(measured)) => self.measured = measured,
             _ => {}
         }
     }
 
     fn answered(&mut self, ctx: &Context, answer: ProbeResult) {
-        if self.doc.as_ref().is_none_or(|d| !Arc::ptr_eq(&d.assets, &answer.assets)) {
+        if self
+            .doc
+            .as_ref()
+            .is_none_or(|d| !Arc::ptr_eq(&d.assets, &answer.assets))
+        {
             // The request was for a scene that has been closed.
             return;
         }
@@ -213,7 +237,8 @@ impl Workstation {
 
     /// Opens files dropped onto the window.
     fn handle_drops(&mut self, ctx: &Context) {
-        let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
+        let dropped: Vec<PathBuf> =
+            ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
         self.dropped.extend(dropped);
         // The next file is opened when the scene of the previous one has loaded.
         if !self.dropped.is_empty() && self.loading.is_none() && self.dialog.is_none() {
@@ -222,10 +247,18 @@ impl Workstation {
         }
         let hovering = ctx.input(|i| !i.raw.hovered_files.is_empty());
         if hovering {
-            let painter = ctx.layer_painter(egui::LayerId::new(egui::Order::Foreground, egui::Id::new("drop")));
+            let painter =
+                ctx.layer_painter(egui::LayerId::new(egui::Order::Foreground, egui::Id::new("drop")));
             let rect = ctx.content_rect();
             painter.rect_filled(rect, 0.0, egui::Color32::from_black_alpha(150));
-            super::views::text(&painter, rect.center(), egui::Align2::CENTER_CENTER, "Drop to open", 20.0, theme::ON_CANVAS);
+            super::views::text(
+                &painter,
+                rect.center(),
+                egui::Align2::CENTER_CENTER,
+                "Drop to open",
+                20.0,
+                theme::ON_CANVAS,
+            );
         }
     }
 
@@ -238,7 +271,10 @@ impl Workstation {
         let Some(doc) = &mut self.doc else { return };
         doc.check_selection();
         // Typing a name is one step, as a drag is.
-        let held = ctx.input(|i| i.pointer.any_down()) || self.gesture.is_some() || self.stroke_before.is_some() || ctx.text_edit_focused();
+        let held = ctx.input(|i| i.pointer.any_down())
+            || self.gesture.is_some()
+            || self.stroke_before.is_some()
+            || ctx.text_edit_focused();
         if !held {
             self.history.take_snapshot(&doc.scene);
             self.cameras.settle(&doc.scene.camera);
@@ -246,7 +282,11 @@ impl Workstation {
         let scene_changed = self.last_scene.as_deref().is_none_or(|s| *s != doc.scene);
         if scene_changed {
             // Clicked points lie where the volume was displayed before the change.
-            if self.last_scene.as_deref().is_some_and(|s| s.deformation != doc.scene.deformation) {
+            if self
+                .last_scene
+                .as_deref()
+                .is_some_and(|s| s.deformation != doc.scene.deformation)
+            {
                 self.pending_points.clear();
             }
             self.edits += 1;
@@ -276,7 +316,10 @@ impl Workstation {
         plain.light = Default::default();
         let measures = std::mem::take(&mut plain.measure);
         let assets = Arc::as_ptr(&doc.assets) as usize;
-        let same = self.measured_of.as_ref().is_some_and(|(m, s, a)| *m == measures && **s == plain && *a == assets);
+        let same = self
+            .measured_of
+            .as_ref()
+            .is_some_and(|(m, s, a)| *m == measures && **s == plain && *a == assets);
         if !same {
             let (scene, loaded) = (Arc::new(plain), doc.assets.clone());
             self.measured_of = Some((measures.clone(), scene.clone(), assets));
@@ -300,7 +343,11 @@ impl Workstation {
 
     /// Shows the scene's name in the window title, with a mark if it has unsaved edits.
     fn update_title(&mut self, ctx: &Context) {
-        let title = if self.doc.is_some() { format!("incise · {}", self.title()) } else { "incise".to_owned() };
+        let title = if self.doc.is_some() {
+            format!("incise · {}", self.title())
+        } else {
+            "incise".to_owned()
+        };
         if title != self.title {
             ctx.send_viewport_cmd(egui::ViewportCommand::Title(title.clone()));
             self.title = title;
@@ -374,7 +421,8 @@ impl Workstation {
         }
         let ms = start.elapsed().as_secs_f32() * 1e3;
         if ms > SLOW_MS && self.frame_ms.len() > 30 {
-            self.log.add(LogLevel::Info, format!("an interface frame took {ms:.0} ms"));
+            self.log
+                .add(LogLevel::Info, format!("an interface frame took {ms:.0} ms"));
         }
         self.frame_ms.push_back(ms);
         if self.frame_ms.len() > FRAMES {
@@ -460,27 +508,57 @@ impl TabViewer for Tabs<'_> {
     fn ui(&mut self, ui: &mut Ui, tab: &mut Panel) {
         match tab {
             Panel::View3d => self.app.draw(ui, |app| &mut app.view, View3d::ui),
-            Panel::Axial => self.app.draw(ui, |app| &mut app.slices, |slices, state, ui| slices.ui(state, ui, 0)),
-            Panel::Coronal => self.app.draw(ui, |app| &mut app.slices, |slices, state, ui| slices.ui(state, ui, 1)),
-            Panel::Sagittal => self.app.draw(ui, |app| &mut app.slices, |slices, state, ui| slices.ui(state, ui, 2)),
-            Panel::Compare => self.app.draw(ui, |app| &mut app.compare, |panel, _, ui| panel.ui(ui)),
+            Panel::Axial => self.app.draw(
+                ui,
+                |app| &mut app.slices,
+                |slices, state, ui| slices.ui(state, ui, 0),
+            ),
+            Panel::Coronal => self.app.draw(
+                ui,
+                |app| &mut app.slices,
+                |slices, state, ui| slices.ui(state, ui, 1),
+            ),
+            Panel::Sagittal => self.app.draw(
+                ui,
+                |app| &mut app.slices,
+                |slices, state, ui| slices.ui(state, ui, 2),
+            ),
+            Panel::Compare => self
+                .app
+                .draw(ui, |app| &mut app.compare, |panel, _, ui| panel.ui(ui)),
             side => {
                 let side = *side;
-                egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 6)).show(ui, |ui| {
-                    egui::ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| match side {
-                        Panel::Scene => self.app.draw(ui, |app| &mut app.scene_panel, ScenePanel::ui),
-                        Panel::Inspector => self.app.draw(ui, |app| &mut app.inspector, Inspector::ui),
-                        Panel::Transfer => self.app.draw(ui, |app| &mut app.transfer, TransferPanel::ui),
-                        Panel::Measure => self.app.draw(ui, |app| &mut app.measure_panel, MeasurePanel::ui),
-                        Panel::MapEditor => self.app.draw(ui, |app| &mut app.map_editor, MapEditor::ui),
-                        Panel::Log => {
-                            let requests = log::ui(self.app, ui);
-                            self.app.carry_out_all(&ui.ctx().clone(), requests);
-                        }
-                        // Shown without scrolling.
-                        Panel::View3d | Panel::Axial | Panel::Coronal | Panel::Sagittal | Panel::Compare => {}
+                egui::Frame::NONE
+                    .inner_margin(egui::Margin::symmetric(8, 6))
+                    .show(ui, |ui| {
+                        egui::ScrollArea::vertical()
+                            .auto_shrink([false, false])
+                            .show(ui, |ui| match side {
+                                Panel::Scene => self.app.draw(ui, |app| &mut app.scene_panel, ScenePanel::ui),
+                                Panel::Inspector => {
+                                    self.app.draw(ui, |app| &mut app.inspector, Inspector::ui)
+                                }
+                                Panel::Transfer => {
+                                    self.app.draw(ui, |app| &mut app.transfer, TransferPanel::ui)
+                                }
+                                Panel::Measure => {
+                                    self.app.draw(ui, |app| &mut app.measure_panel, MeasurePanel::ui)
+                                }
+                                Panel::MapEditor => {
+                                    self.app.draw(ui, |app| &mut app.map_editor, MapEditor::ui)
+                                }
+                                Panel::Log => {
+                                    let requests = log::ui(self.app, ui);
+                                    self.app.carry_out_all(&ui.ctx().clone(), requests);
+                                }
+                                // Shown without scrolling.
+                                Panel::View3d
+                                | Panel::Axial
+                                | Panel::Coronal
+                                | Panel::Sagittal
+                                | Panel::Compare => {}
+                            });
                     });
-                });
             }
         }
     }

@@ -28,10 +28,16 @@ impl Workstation {
     pub fn pan(&mut self, dx: f32, dy: f32, rect: Rect) {
         let size = self.view.size();
         let Some(doc) = &mut self.doc else { return };
-        let Ok(frame) = doc.scene.camera.frame(&doc.bounds(), size) else { return };
+        let Ok(frame) = doc.scene.camera.frame(&doc.bounds(), size) else {
+            return;
+        };
         let projector = Projector { frame, rect };
         let bounds = doc.bounds();
-        let target = doc.scene.camera.target.map_or_else(|| bounds.center(), Vec3::from);
+        let target = doc
+            .scene
+            .camera
+            .target
+            .map_or_else(|| bounds.center(), Vec3::from);
         let mm = projector.mm_per_point(target);
         let f = &projector.frame;
         let moved = target + (f.up.normalize_or_zero() * dy - f.right.normalize_or_zero() * dx) * mm;
@@ -76,14 +82,20 @@ impl Workstation {
     pub fn reset_camera(&mut self) {
         if let Some(doc) = &mut self.doc {
             let camera = &doc.scene.camera;
-            doc.scene.camera = Camera { projection: camera.projection, field_of_view: camera.field_of_view, ..Camera::default() };
+            doc.scene.camera = Camera {
+                projection: camera.projection,
+                field_of_view: camera.field_of_view,
+                ..Camera::default()
+            };
         }
     }
 
     /// Turns the drawn outline into a cut, or restores the region inside it.
     pub(super) fn finish_lasso(&mut self) {
         let outline = std::mem::take(&mut self.view.lasso);
-        let (Some(doc), Some(projector)) = (&self.doc, self.view.lasso_on.take()) else { return };
+        let (Some(doc), Some(projector)) = (&self.doc, self.view.lasso_on.take()) else {
+            return;
+        };
         if outline.len() < 3 || area(&outline) < 25.0 {
             return;
         }
@@ -104,12 +116,18 @@ impl Workstation {
         let (origin, shift) = match apex {
             Some(depth) => {
                 let origin = frame.eye + frame.forward * depth;
-                (origin, Vec2::new((middle - origin).dot(right), (middle - origin).dot(up)))
+                (
+                    origin,
+                    Vec2::new((middle - origin).dot(right), (middle - origin).dot(up)),
+                )
             }
             None => (middle, Vec2::ZERO),
         };
         if points.len() < 3 || apex.is_some_and(|depth| depth <= 1.0) {
-            self.report(LogLevel::Info, "The outline is behind the camera; reset the camera (R) and redraw it");
+            self.report(
+                LogLevel::Info,
+                "The outline is behind the camera; reset the camera (R) and redraw it",
+            );
             return;
         }
         let restore = self.tool == Tool::LassoRestore;
@@ -127,5 +145,9 @@ fn wrap(degrees: f32) -> f32 {
 /// Area of an outline, square points.
 fn area(outline: &[Pos2]) -> f32 {
     let n = outline.len();
-    (0..n).map(|i| (outline[i].x * outline[(i + 1) % n].y) - (outline[(i + 1) % n].x * outline[i].y)).sum::<f32>().abs() / 2.0
+    (0..n)
+        .map(|i| (outline[i].x * outline[(i + 1) % n].y) - (outline[(i + 1) % n].x * outline[i].y))
+        .sum::<f32>()
+        .abs()
+        / 2.0
 }

@@ -12,7 +12,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 impl Workstation {
-    pub(in crate::gui) fn compare_arrived(&mut self, ctx: &Context, side: usize, serial: u64, ms: f64, shown: RenderedView) {
+    pub(in crate::gui) fn compare_arrived(
+        &mut self,
+        ctx: &Context,
+        side: usize,
+        serial: u64,
+        ms: f64,
+        shown: RenderedView,
+    ) {
         let panel = &mut self.compare;
         if panel.serials.get(side) != Some(&serial) {
             return;
@@ -20,12 +27,16 @@ impl Workstation {
         let result = &mut panel.results[side];
         match &mut result.texture {
             Some(texture) => texture.set(shown.image, TextureOptions::LINEAR),
-            None => result.texture = Some(ctx.load_texture(format!("compare {side}"), shown.image, TextureOptions::LINEAR)),
+            None => {
+                result.texture =
+                    Some(ctx.load_texture(format!("compare {side}"), shown.image, TextureOptions::LINEAR))
+            }
         }
         result.picture = shown.picture.map(Arc::new);
         result.side = panel.requested_sides[side];
         result.delay.note(true);
-        (result.stats, result.ms, result.backend, result.serial) = (shown.stats, ms, shown.device.name, serial);
+        (result.stats, result.ms, result.backend, result.serial) =
+            (shown.stats, ms, shown.device.name, serial);
         self.compare_numbers(ctx);
     }
 
@@ -34,13 +45,20 @@ impl Workstation {
         let panel = &mut self.compare;
         let pair = (panel.results[0].serial, panel.results[1].serial);
         let current = (0..2).all(|n| panel.results[n].serial == panel.serials[n]);
-        let (Some(a), Some(b)) = (panel.results[0].picture.clone(), panel.results[1].picture.clone()) else { return };
-        if panel.difference_open || pair == panel.difference_of || !current || (a.width, a.height) != (b.width, b.height) {
+        let (Some(a), Some(b)) = (panel.results[0].picture.clone(), panel.results[1].picture.clone()) else {
+            return;
+        };
+        if panel.difference_open
+            || pair == panel.difference_of
+            || !current
+            || (a.width, a.height) != (b.width, b.height)
+        {
             return;
         }
         panel.difference_open = true;
         self.start(ctx, "Comparing", move |_| {
-            let found = difference(&a, &b).and_then(|numbers| Ok((numbers, difference_picture(&a, &b, AMPLIFY)?)));
+            let found =
+                difference(&a, &b).and_then(|numbers| Ok((numbers, difference_picture(&a, &b, AMPLIFY)?)));
             Ok(Box::new(move |app: &mut Workstation, ctx: &Context| {
                 let panel = &mut app.compare;
                 panel.difference_open = false;
@@ -48,9 +66,11 @@ impl Workstation {
                 match found {
                     Ok((numbers, picture)) => {
                         let size = [picture.width as usize, picture.height as usize];
-                        let image = ColorImage::from_rgba_unmultiplied(size, &picture.over([0.0, 0.0, 0.0, 1.0]));
+                        let image =
+                            ColorImage::from_rgba_unmultiplied(size, &picture.over([0.0, 0.0, 0.0, 1.0]));
                         panel.difference = Some(numbers);
-                        panel.difference_texture = Some(ctx.load_texture("difference", image, TextureOptions::LINEAR));
+                        panel.difference_texture =
+                            Some(ctx.load_texture("difference", image, TextureOptions::LINEAR));
                     }
                     Err(error) => {
                         panel.difference = None;
@@ -75,12 +95,15 @@ impl Workstation {
         let panel = &mut self.compare;
         let same_assets = panel.assets.as_ref().is_some_and(|a| Arc::ptr_eq(a, &assets));
         let wanted: [Scene; 2] = std::array::from_fn(|n| panel.sides[n].scene(&scene));
-        let changed = (0..2).any(|n| !same_assets || panel.requested[n].as_deref().is_none_or(|a| *a != wanted[n]));
+        let changed =
+            (0..2).any(|n| !same_assets || panel.requested[n].as_deref().is_none_or(|a| *a != wanted[n]));
         panel.behind = changed;
         if !changed {
             return;
         }
-        let pending: Vec<usize> = (0..2).filter(|n| !same_assets || panel.requested[*n].as_deref().is_none_or(|a| *a != wanted[*n])).collect();
+        let pending: Vec<usize> = (0..2)
+            .filter(|n| !same_assets || panel.requested[*n].as_deref().is_none_or(|a| *a != wanted[*n]))
+            .collect();
         // During a drag the last pair is kept.
         if self.gesture.is_some() {
             self.compare.changed_at = Instant::now();
@@ -98,10 +121,18 @@ impl Workstation {
                 JobTarget::Compare(n),
                 shared,
                 assets.clone(),
-                JobKind::Picture { counting: true, with_pixels: true, quality: Quality::Full },
+                JobKind::Picture {
+                    counting: true,
+                    with_pixels: true,
+                    quality: Quality::Full,
+                },
             );
             let panel = &mut self.compare;
-            (panel.serials[n], panel.requested_sides[n], panel.results[n].delay.failure) = (serial, Some(panel.sides[n]), None);
+            (
+                panel.serials[n],
+                panel.requested_sides[n],
+                panel.results[n].delay.failure,
+            ) = (serial, Some(panel.sides[n]), None);
         }
     }
 }

@@ -33,8 +33,20 @@ impl Workstation {
             Action::OpenFolder => self.choose_folder_to_open(),
             Action::OpenHead => self.open_bundled(ctx, "colin27-head-t1.nii.gz"),
             Action::Quit => self.after(ctx, NextStep::Quit),
-            Action::Palette => self.palette = if self.palette.is_some() { None } else { Some(Default::default()) },
-            Action::Keys => self.key_list = if self.key_list.is_some() { None } else { Some(Default::default()) },
+            Action::Palette => {
+                self.palette = if self.palette.is_some() {
+                    None
+                } else {
+                    Some(Default::default())
+                }
+            }
+            Action::Keys => {
+                self.key_list = if self.key_list.is_some() {
+                    None
+                } else {
+                    Some(Default::default())
+                }
+            }
             Action::Log => self.show_panel(Panel::Log),
             Action::Layout(layout) => {
                 self.layout = layout;
@@ -44,7 +56,11 @@ impl Workstation {
             Action::ToggleTheme => {
                 let light = !self.session.settings.light;
                 self.session.settings.light = light;
-                ctx.set_theme(if light { egui::Theme::Light } else { egui::Theme::Dark });
+                ctx.set_theme(if light {
+                    egui::Theme::Light
+                } else {
+                    egui::Theme::Dark
+                });
             }
             Action::ScaleUp | Action::ScaleDown => {
                 let by = if action == Action::ScaleUp { 1.1 } else { 1.0 / 1.1 };
@@ -56,7 +72,11 @@ impl Workstation {
                 self.session.settings.blender = blender;
                 self.report(
                     LogLevel::Info,
-                    if blender { "Blender navigation: orbit with the middle button" } else { "3D Slicer navigation: orbit with the left button" },
+                    if blender {
+                        "Blender navigation: orbit with the middle button"
+                    } else {
+                        "3D Slicer navigation: orbit with the left button"
+                    },
                 );
             }
             Action::ResetGpu => {
@@ -101,7 +121,12 @@ impl Workstation {
                 self.view.forget();
             }
             Action::BeforeAfter => self.before = !self.before,
-            Action::StackToMap => self.dialog = Some(Dialog::SaveMap { name: "stack".into(), stack: true }),
+            Action::StackToMap => {
+                self.dialog = Some(Dialog::SaveMap {
+                    name: "stack".into(),
+                    stack: true,
+                })
+            }
             Action::SaveMap => {
                 if let Some(d) = self.doc.as_mut().and_then(Document::deformation) {
                     let name = d.name.clone().unwrap_or_else(|| words(&d.kind));
@@ -139,7 +164,11 @@ impl Workstation {
             }
             Action::ToggleProjection => {
                 let projection = &mut doc.scene.camera.projection;
-                *projection = if *projection == Projection::Perspective { Projection::Orthographic } else { Projection::Perspective };
+                *projection = if *projection == Projection::Perspective {
+                    Projection::Orthographic
+                } else {
+                    Projection::Perspective
+                };
             }
             Action::NextMode => {
                 doc.scene.render.mode = match doc.scene.render.mode {
@@ -190,8 +219,10 @@ impl Workstation {
             self.end_stroke();
             if let Some(doc) = &mut self.doc {
                 self.history.revert(&mut doc.scene);
-                if matches!(gesture, Some(Gesture::Orbit | Gesture::Pan | Gesture::Zoom | Gesture::Roll))
-                    && let Some(rest) = self.cameras.rest()
+                if matches!(
+                    gesture,
+                    Some(Gesture::Orbit | Gesture::Pan | Gesture::Zoom | Gesture::Roll)
+                ) && let Some(rest) = self.cameras.rest()
                 {
                     doc.scene.camera = rest.clone();
                 }
@@ -232,7 +263,14 @@ impl Workstation {
             None => ClipMotion::Orbit,
         };
         let back = travel != ClipMotion::Orbit;
-        ClipForm { travel, range: [0.0, 1.0], back, frames: 48, rate: 24.0, size }
+        ClipForm {
+            travel,
+            range: [0.0, 1.0],
+            back,
+            frames: 48,
+            rate: 24.0,
+            size,
+        }
     }
 
     /// Applies the armed tool at a picked point.
@@ -257,7 +295,12 @@ impl Workstation {
     /// deformation until the point is dragged.
     fn add_control_point(&mut self, ctx: &Context, seen: Vec3) {
         let Some(doc) = &self.doc else { return };
-        let Some(n) = doc.deformation_index().filter(|n| doc.scene.deformation[*n].kind == "points") else { return };
+        let Some(n) = doc
+            .deformation_index()
+            .filter(|n| doc.scene.deformation[*n].kind == "points")
+        else {
+            return;
+        };
         let (assets, scene) = (doc.assets.clone(), doc.scene.clone());
         self.start(ctx, "Adding a control point", move |_| {
             let part = |range: std::ops::Range<usize>| {
@@ -267,12 +310,20 @@ impl Workstation {
             };
             // `to` is the point before all later deformations; `from` is where this deformation's
             // own map takes it.
-            let to = part(n + 1..scene.deformation.len())?.stack.source_and_alpha_unclipped(seen).0;
+            let to = part(n + 1..scene.deformation.len())?
+                .stack
+                .source_and_alpha_unclipped(seen)
+                .0;
             let from = part(n..n + 1)?.stack.source_and_alpha_unclipped(to).0;
             let pair = [super::state::tool::tidy(from), super::state::tool::tidy(to)].concat();
             let deformation = scene.deformation[n].clone();
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
-                if let Some(d) = app.doc.as_mut().and_then(|doc| doc.scene.deformation.get_mut(n)).filter(|d| **d == deformation) {
+                if let Some(d) = app
+                    .doc
+                    .as_mut()
+                    .and_then(|doc| doc.scene.deformation.get_mut(n))
+                    .filter(|d| **d == deformation)
+                {
                     let mut pairs = d.parameters.numbers("pairs").ok().flatten().unwrap_or_default();
                     pairs.extend(pair);
                     d.parameters.insert("pairs", Argument::Numbers(pairs));
@@ -313,20 +364,49 @@ impl Workstation {
         if self.pending_points.len() < kind.points() {
             return;
         }
-        let points = self.pending_points.drain(..).map(|p| super::state::tool::tidy(p.source)).collect();
+        let points = self
+            .pending_points
+            .drain(..)
+            .map(|p| super::state::tool::tidy(p.source))
+            .collect();
         let Some(doc) = &mut self.doc else { return };
-        let name = Some(format!("{} {}", kind.name(), 1 + doc.scene.measure.iter().filter(|m| m.kind == kind).count()));
-        doc.scene.measure.push(Measure { kind, name, points, label: None, before_resampling: false });
+        let name = Some(format!(
+            "{} {}",
+            kind.name(),
+            1 + doc.scene.measure.iter().filter(|m| m.kind == kind).count()
+        ));
+        doc.scene.measure.push(Measure {
+            kind,
+            name,
+            points,
+            label: None,
+            before_resampling: false,
+        });
         doc.selected = Selection::Measure(doc.scene.measure.len() - 1);
         self.show_panel_if_hidden(Panel::Measure);
     }
 
     /// Cuts out an outline, or restores it.
-    pub fn lasso(&mut self, restores: bool, eye_mm: f32, origin: Vec3, right: Vec3, up: Vec3, outline: Vec<Vec2>) {
+    pub fn lasso(
+        &mut self,
+        restores: bool,
+        eye_mm: f32,
+        origin: Vec3,
+        right: Vec3,
+        up: Vec3,
+        outline: Vec<Vec2>,
+    ) {
         let Some(doc) = &mut self.doc else { return };
         let rounded = |v: Vec3| Vec3::from(super::state::tool::tidy(v));
         let outline = outline.into_iter().map(|p| (p * 100.0).round() / 100.0).collect();
-        doc.stroke(&Stroke::Lasso(Lasso { restores, eye_mm, origin: rounded(origin), right, up, outline }));
+        doc.stroke(&Stroke::Lasso(Lasso {
+            restores,
+            eye_mm,
+            origin: rounded(origin),
+            right,
+            up,
+            outline,
+        }));
         let n = doc.scene.deformation.len() - 1;
         if doc.strokes(n).len() == 1 && doc.scene.deformation[n].name.is_none() {
             doc.scene.deformation[n].name = Some("Lasso".into());
@@ -344,21 +424,35 @@ impl Workstation {
 
     /// Adds a point to the stroke.
     pub(super) fn extend_stroke(&mut self, at: Vec3) {
-        let Some(before) = self.stroke_before.clone() else { return };
+        let Some(before) = self.stroke_before.clone() else {
+            return;
+        };
         let Some(tool) = self.tool.brush() else { return };
         let radius = self.brush.radius;
-        let far = self.stroke_points.last().is_none_or(|l| l.distance(at) >= STROKE_STEP * radius);
+        let far = self
+            .stroke_points
+            .last()
+            .is_none_or(|l| l.distance(at) >= STROKE_STEP * radius);
         if !far || self.stroke_points.len() >= MAX_STROKE_POINTS {
             return;
         }
         self.stroke_points.push(Vec3::from(super::state::tool::tidy(at)));
-        let Some(tool) = StrokeTool::ALL.into_iter().find(|t| t.name() == tool) else { return };
+        let Some(tool) = StrokeTool::ALL.into_iter().find(|t| t.name() == tool) else {
+            return;
+        };
         if tool == StrokeTool::Push && self.stroke_points.len() < 2 {
             return;
         }
-        let stroke = Stroke::Line { tool, radius_mm: radius, strength: self.brush.strength, points: self.stroke_points.clone() };
+        let stroke = Stroke::Line {
+            tool,
+            radius_mm: radius,
+            strength: self.brush.strength,
+            points: self.stroke_points.clone(),
+        };
         let Some(doc) = &mut self.doc else { return };
-        let Some(n) = doc.scene.deformation.len().checked_sub(1) else { return };
+        let Some(n) = doc.scene.deformation.len().checked_sub(1) else {
+            return;
+        };
         let mut strokes = before;
         strokes.push(stroke.to_string());
         doc.set_strokes(n, &strokes);
@@ -376,7 +470,11 @@ impl Workstation {
     pub(super) fn drag_window(&mut self, dx: f32, dy: f32) {
         let Some(doc) = &self.doc else { return };
         let range = doc.assets.volume.range;
-        let [low, high] = self.slice_window.unwrap_or_else(|| doc.assets.volume.window(doc.scene.transfer.window, doc.scene.transfer.level));
+        let [low, high] = self.slice_window.unwrap_or_else(|| {
+            doc.assets
+                .volume
+                .window(doc.scene.transfer.window, doc.scene.transfer.level)
+        });
         let per_point = (range[1] - range[0]).max(1e-9) / 600.0;
         let width = (high - low + f64::from(dx) * per_point).max((range[1] - range[0]).max(1e-9) * 1e-3);
         let level = 0.5 * (low + high) + f64::from(dy) * per_point;
@@ -387,10 +485,17 @@ impl Workstation {
     pub(super) fn drag_transfer(&mut self, dx: f32, dy: f32) {
         let Some(doc) = &mut self.doc else { return };
         let volume = &doc.assets.volume;
-        let Ok(function) = doc.scene.transfer.resolve(volume, doc.scene.default_preset(volume)) else { return };
+        let Ok(function) = doc
+            .scene
+            .transfer
+            .resolve(volume, doc.scene.default_preset(volume))
+        else {
+            return;
+        };
         let [low, high] = function.domain();
         let per_point = (volume.range[1] - volume.range[0]).max(1e-9) / 600.0;
-        let width = (high - low + f64::from(dx) * per_point).max((volume.range[1] - volume.range[0]).max(1e-9) * 1e-3);
+        let width = (high - low + f64::from(dx) * per_point)
+            .max((volume.range[1] - volume.range[0]).max(1e-9) * 1e-3);
         let level = 0.5 * (low + high) + f64::from(dy) * per_point;
         doc.scene.transfer.window = Some(width);
         doc.scene.transfer.level = Some(level);
@@ -416,7 +521,11 @@ impl Workstation {
             let (level, text) = match report.len() {
                 0 => (LogLevel::Info, "There is no field to check".to_owned()),
                 _ => (
-                    if report.iter().any(|r| r.0) { LogLevel::Warning } else { LogLevel::Info },
+                    if report.iter().any(|r| r.0) {
+                        LogLevel::Warning
+                    } else {
+                        LogLevel::Info
+                    },
                     report.into_iter().map(|r| r.1).collect::<Vec<_>>().join("; "),
                 ),
             };
@@ -456,13 +565,21 @@ fn edit_selection(doc: &mut Document, action: Action) {
         }
         Action::MoveUp | Action::MoveDown => {
             if let Some(n) = doc.deformation_index() {
-                let to = if action == Action::MoveUp { n.checked_sub(1) } else { Some(n + 1) };
+                let to = if action == Action::MoveUp {
+                    n.checked_sub(1)
+                } else {
+                    Some(n + 1)
+                };
                 to.map(|to| doc.reorder(n, to));
             }
         }
         Action::Less | Action::More => {
             if let Some(d) = doc.deformation() {
-                let by = if action == Action::More { PROGRESS_STEP } else { -PROGRESS_STEP };
+                let by = if action == Action::More {
+                    PROGRESS_STEP
+                } else {
+                    -PROGRESS_STEP
+                };
                 let to = d.progress.unwrap_or(1.0) + by;
                 d.progress = Some(((to * 100.0).round() / 100.0).clamp(0.0, 1.0));
             }

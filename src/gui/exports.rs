@@ -33,27 +33,44 @@ impl Workstation {
     pub fn picture_form(&self) -> PictureForm {
         let [w, h] = self.view.size();
         let scale = 3840.0 / f64::from(w.max(1));
-        let size = [3840, ((f64::from(h) * scale).round() as u32).clamp(16, MAX_PICTURE_EDGE)];
+        let size = [
+            3840,
+            ((f64::from(h) * scale).round() as u32).clamp(16, MAX_PICTURE_EDGE),
+        ];
         let step = self.doc.as_ref().map_or(1.0, |d| d.scene.render.step.min(0.5));
-        PictureForm { size, antialias: 1, step, transparent: false }
+        PictureForm {
+            size,
+            antialias: 1,
+            step,
+            transparent: false,
+        }
     }
 
     /// Opens a dialog for the picture's file.
     pub fn choose_picture_file(&mut self, form: PictureForm) {
-        self.files.open_dialog(FilePurpose::Picture(form), "Export picture", Some("picture.png"), &[]);
+        self.files.open_dialog(
+            FilePurpose::Picture(form),
+            "Export picture",
+            Some("picture.png"),
+            &[],
+        );
     }
 
     /// Renders and writes a picture.
     pub fn export_picture(&mut self, ctx: &Context, path: &Path, form: &PictureForm) {
         let path = with_ending(path, "png");
-        let Some(mut scene) = self.export_scene(&path) else { return };
+        let Some(mut scene) = self.export_scene(&path) else {
+            return;
+        };
         scene.render.size = form.size;
         scene.render.antialias = form.antialias;
         scene.render.step = form.step;
         if form.transparent {
             scene.render.background = [0.0; 4];
         }
-        let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else { return };
+        let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else {
+            return;
+        };
         let render = self.renderer();
         self.start(ctx, "Exporting a picture", move |watch| {
             let output = OutputFile::create(&path)?;
@@ -78,35 +95,57 @@ impl Workstation {
     /// A renderer for exports: the backend of the view, on its own device.
     fn renderer(&self) -> impl Fn(&Scene, &Assets, &Watch) -> Result<Picture> + Send + 'static {
         // If the view fell back from the GPU, an export would not find one either.
-        let backend = if self.view.facts.device.as_ref().is_some_and(|d| d.is_gpu) { self.backend() } else { Backend::Cpu };
+        let backend = if self.view.facts.device.as_ref().is_some_and(|d| d.is_gpu) {
+            self.backend()
+        } else {
+            Backend::Cpu
+        };
         let engine = Mutex::new(None::<Engine>);
         move |scene, assets, watch| {
             let mut engine = engine.lock().unwrap_or_else(PoisonError::into_inner);
             let engine = match &mut *engine {
                 Some(engine) => engine,
-                none => none.insert(Engine::open(EngineOptions { backend, ..EngineOptions::default() })?),
+                none => none.insert(Engine::open(EngineOptions {
+                    backend,
+                    ..EngineOptions::default()
+                })?),
             };
-            let request = RenderRequest { watch: *watch, ..RenderRequest::default() };
+            let request = RenderRequest {
+                watch: *watch,
+                ..RenderRequest::default()
+            };
             Ok(engine.picture(scene, assets, &request)?.rendered.picture)
         }
     }
 
     /// Opens a dialog for the clip's file.
     pub fn choose_clip_file(&mut self, form: ClipForm) {
-        self.files.open_dialog(FilePurpose::Clip(form), "Export clip: .gif, .png (animated), .mp4, or a folder", Some("clip.gif"), &[]);
+        self.files.open_dialog(
+            FilePurpose::Clip(form),
+            "Export clip: .gif, .png (animated), .mp4, or a folder",
+            Some("clip.gif"),
+            &[],
+        );
     }
 
     /// Renders and writes a clip.
     pub fn export_clip(&mut self, ctx: &Context, path: &Path, form: &ClipForm) {
-        let Some(scene) = self.export_scene(path) else { return };
-        let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else { return };
+        let Some(scene) = self.export_scene(path) else {
+            return;
+        };
+        let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else {
+            return;
+        };
         let render = self.renderer();
         let (path, form) = (path.to_owned(), form.clone());
         self.start(ctx, "Exporting a clip", move |watch| {
             clip::ClipFormat::of(&path)?;
             let mut frame = |n: usize| {
                 let scene = form.frame(&scene, n)?;
-                let quiet = Watch { progress: &|_| (), cancel: watch.cancel };
+                let quiet = Watch {
+                    progress: &|_| (),
+                    cancel: watch.cancel,
+                };
                 Ok(render(&scene, &assets, &quiet)?.over(scene.render.background))
             };
             clip::write(&path, form.size, form.rate, form.frames, &mut frame, watch)?;
@@ -116,19 +155,31 @@ impl Workstation {
 
     /// Opens a dialog for a baked volume or field.
     pub fn choose_bake_file(&mut self, field: bool) {
-        let (title, name) = if field { ("Bake the displacement field", "field.nii.gz") } else { ("Bake the deformed volume", "deformed.nii.gz") };
-        self.files.open_dialog(FilePurpose::Bake { field }, title, Some(name), &[]);
+        let (title, name) = if field {
+            ("Bake the displacement field", "field.nii.gz")
+        } else {
+            ("Bake the deformed volume", "deformed.nii.gz")
+        };
+        self.files
+            .open_dialog(FilePurpose::Bake { field }, title, Some(name), &[]);
     }
 
     /// Bakes and writes.
     pub fn export_baked(&mut self, ctx: &Context, path: &Path, field: bool) {
-        let Some(scene) = self.export_scene(path) else { return };
-        let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else { return };
+        let Some(scene) = self.export_scene(path) else {
+            return;
+        };
+        let Some(assets) = self.doc.as_ref().map(|d| d.assets.clone()) else {
+            return;
+        };
         let path = path.to_owned();
         self.start(ctx, "Baking", move |watch| {
             let format = Format::of(&path)?;
             if !assets.has_volume {
-                return Err(Error::value("bake", "there is no volume in this scene; meshes are rendered, not baked"));
+                return Err(Error::value(
+                    "bake",
+                    "there is no volume in this scene; meshes are rendered, not baked",
+                ));
             }
             let output = OutputFile::create(&path)?;
             let exact = Deformed::exact(&scene, &assets, true, watch)?;
@@ -141,7 +192,17 @@ impl Workstation {
                 if field {
                     bake::field(&deformation, &grid, format, &mut out, &progress).map(drop)
                 } else {
-                    bake::volume(volume, &deformation, &grid, format, &mut out, &BakeOptions { progress: Some(&progress), ..BakeOptions::default() })
+                    bake::volume(
+                        volume,
+                        &deformation,
+                        &grid,
+                        format,
+                        &mut out,
+                        &BakeOptions {
+                            progress: Some(&progress),
+                            ..BakeOptions::default()
+                        },
+                    )
                 }
                 .map_err(|e| if watch.is_cancelled() { Error::Cancelled } else { e })
             })?;
@@ -151,7 +212,8 @@ impl Workstation {
 
     /// Opens a dialog for the folder of a report.
     pub fn choose_report_folder(&mut self) {
-        self.files.open_folder_dialog(FilePurpose::Report, "Folder for the comparison report");
+        self.files
+            .open_folder_dialog(FilePurpose::Report, "Folder for the comparison report");
     }
 
     /// Renders both sides of the comparison at the scene's own size and writes the report.
@@ -169,35 +231,79 @@ impl Workstation {
                 let mut scene = side.scene(&scene);
                 scene.render.size = size;
                 let report = |share: f32| (watch.progress)((n as f32 + share) / 2.0);
-                let part = Watch { progress: &report, cancel: watch.cancel };
+                let part = Watch {
+                    progress: &report,
+                    cancel: watch.cancel,
+                };
                 let label = side.words();
-                let label = if runs.iter().any(|r| r.name == label) { format!("{label} again") } else { label };
-                let request = RenderRequest { watch: part, ..RenderRequest::default() };
-                runs.push(crate::compare::run(&mut Engine::cpu(), &scene, &assets, &label, &request)?);
+                let label = if runs.iter().any(|r| r.name == label) {
+                    format!("{label} again")
+                } else {
+                    label
+                };
+                let request = RenderRequest {
+                    watch: part,
+                    ..RenderRequest::default()
+                };
+                runs.push(crate::compare::run(
+                    &mut Engine::cpu(),
+                    &scene,
+                    &assets,
+                    &label,
+                    &request,
+                )?);
             }
             let report = Report::new(name, scene.to_toml()?, scene.render.background, runs)?;
             report.write(&folder)?;
-            Ok(report_when_done(format!("Report written to {}", folder.join("index.html").display())))
+            Ok(report_when_done(format!(
+                "Report written to {}",
+                folder.join("index.html").display()
+            )))
         });
     }
 
     /// Opens a dialog for the table of measurements.
     pub fn choose_measures_file(&mut self) {
-        self.files.open_dialog(FilePurpose::Measures, "Export measurements", Some("measurements.csv"), &[]);
+        self.files.open_dialog(
+            FilePurpose::Measures,
+            "Export measurements",
+            Some("measurements.csv"),
+            &[],
+        );
     }
 
     pub(super) fn export_measures(&mut self, path: &Path) {
         let all = self.doc.as_ref().map_or(&[][..], |d| &d.scene.measure);
         if self.measured.len() != all.len()
-            || self.measured.iter().zip(all).any(|(m, now)| m.measure.points != now.points || m.measure.label != now.label)
+            || self
+                .measured
+                .iter()
+                .zip(all)
+                .any(|(m, now)| m.measure.points != now.points || m.measure.label != now.label)
         {
-            self.report(LogLevel::Info, "Measurements are still being computed; try again in a moment");
+            self.report(
+                LogLevel::Info,
+                "Measurements are still being computed; try again in a moment",
+            );
             return;
         }
         // A measurement without a result still gets a row.
-        let unknown = measure::Quantity { what: "not measured", value: None, unit: "" };
-        let rows: Vec<_> =
-            self.measured.iter().zip(all).map(|(m, now)| (now.clone(), m.quantities.clone().unwrap_or_else(|_| vec![unknown.clone()]))).collect();
+        let unknown = measure::Quantity {
+            what: "not measured",
+            value: None,
+            unit: "",
+        };
+        let rows: Vec<_> = self
+            .measured
+            .iter()
+            .zip(all)
+            .map(|(m, now)| {
+                (
+                    now.clone(),
+                    m.quantities.clone().unwrap_or_else(|_| vec![unknown.clone()]),
+                )
+            })
+            .collect();
         let path = with_ending(path, "csv");
         match OutputFile::create(&path).and_then(|o| o.finish(measure::csv(&rows).as_bytes())) {
             Ok(()) => self.report(LogLevel::Info, format!("Exported {}", path.display())),
@@ -217,18 +323,31 @@ impl Workstation {
 
     /// Opens a dialog for the exported transfer function.
     pub fn choose_transfer_export(&mut self) {
-        self.files.open_dialog(FilePurpose::ExportTransfer, "Export the transfer function", Some("transfer.toml"), &[]);
+        self.files.open_dialog(
+            FilePurpose::ExportTransfer,
+            "Export the transfer function",
+            Some("transfer.toml"),
+            &[],
+        );
     }
 
     /// Reads a transfer function: from its own file, or from a scene.
     pub fn import_transfer(&mut self, path: &Path) {
         let read = || -> Result<TransferSettings> {
             let text = input::text(path, input::MAX_SCENE_BYTES, "transfer function")?;
-            let table: toml::Table = text.parse().map_err(|e: toml::de::Error| Error::file(path, format!("is not valid TOML: {}", e.message())))?;
-            let section = table.get("transfer").cloned().ok_or_else(|| Error::file(path, "has no [transfer] section; export one to see its form"))?;
-            section
-                .try_into()
-                .map_err(|e: toml::de::Error| Error::file(path, format!("has a [transfer] section that cannot be used: {}", e.message())))
+            let table: toml::Table = text.parse().map_err(|e: toml::de::Error| {
+                Error::file(path, format!("is not valid TOML: {}", e.message()))
+            })?;
+            let section = table
+                .get("transfer")
+                .cloned()
+                .ok_or_else(|| Error::file(path, "has no [transfer] section; export one to see its form"))?;
+            section.try_into().map_err(|e: toml::de::Error| {
+                Error::file(
+                    path,
+                    format!("has a [transfer] section that cannot be used: {}", e.message()),
+                )
+            })
         };
         let Some(doc) = &mut self.doc else { return };
         match read().and_then(|t| t.resolve(&doc.assets.volume, "grey").map(|_| t)) {
@@ -243,7 +362,8 @@ impl Workstation {
         let write = || -> Result<()> {
             protect("export", &path, doc.scene.files().iter().map(PathBuf::as_path))?;
             let mut table = toml::Table::new();
-            let section = toml::Value::try_from(&doc.scene.transfer).map_err(|e| Error::value("transfer", e.to_string()))?;
+            let section = toml::Value::try_from(&doc.scene.transfer)
+                .map_err(|e| Error::value("transfer", e.to_string()))?;
             table.insert("transfer".into(), section);
             let text = toml::to_string_pretty(&table).map_err(|e| Error::value("transfer", e.to_string()))?;
             OutputFile::create(&path)?.finish(text.as_bytes())
@@ -256,7 +376,8 @@ impl Workstation {
 
     /// Opens a dialog for a label map.
     pub fn choose_label_map(&mut self) {
-        self.files.open_dialog(FilePurpose::Labels, "Open a label map for the volume", None, &[]);
+        self.files
+            .open_dialog(FilePurpose::Labels, "Open a label map for the volume", None, &[]);
     }
 
     /// Sets a label map for the volume.
@@ -284,15 +405,27 @@ impl Workstation {
             let maps = exact.stack.maps();
             let mut exactness = String::new();
             let placed = match maps {
-                [] => return Err(Error::value("map", "there is nothing to combine; add a deformation first")),
+                [] => {
+                    return Err(Error::value(
+                        "map",
+                        "there is nothing to combine; add a deformation first",
+                    ));
+                }
                 [one] => one.clone(),
                 all => {
                     let stack = Stack::new(all.to_vec());
                     let resolution = crate::deform::compose::Resolution::Fixed(MAP_POINTS);
                     let storage = crate::deform::Storage::F32;
-                    let composed =
-                        crate::deform::compose::stack(&stack, &assets.scene_box(), resolution, storage, &crate::deform::compose::evaluate)?;
-                    let composed = composed.ok_or_else(|| Error::value("map", "the deformations move nothing; there is no map to save"))?;
+                    let composed = crate::deform::compose::stack(
+                        &stack,
+                        &assets.scene_box(),
+                        resolution,
+                        storage,
+                        &crate::deform::compose::evaluate,
+                    )?;
+                    let composed = composed.ok_or_else(|| {
+                        Error::value("map", "the deformations move nothing; there is no map to save")
+                    })?;
                     exactness = format!(
                         "; composed into one map, its error is up to {:.2} mm (99th percentile: {:.2} mm)",
                         composed.worst_mm, composed.p99_mm
@@ -301,7 +434,10 @@ impl Workstation {
                 }
             };
             OutputFile::create(&path)?.finish(&saved::encode(&placed)?)?;
-            Ok(report_when_done(format!("Saved to the library: {}{exactness}", path.file_stem().unwrap_or_default().to_string_lossy())))
+            Ok(report_when_done(format!(
+                "Saved to the library: {}{exactness}",
+                path.file_stem().unwrap_or_default().to_string_lossy()
+            )))
         });
     }
 
@@ -309,7 +445,10 @@ impl Workstation {
     pub fn copy_command(&mut self, ctx: &Context) {
         let Some(doc) = &self.doc else { return };
         let Some(path) = doc.path.clone() else {
-            self.report(LogLevel::Info, "Save the scene first; the command line refers to its file");
+            self.report(
+                LogLevel::Info,
+                "Save the scene first; the command line refers to its file",
+            );
             self.choose_save_file(None);
             return;
         };
@@ -320,7 +459,11 @@ impl Workstation {
         let Some(doc) = &self.doc else { return };
         let mut scene = doc.scene.clone();
         scene.render.size = self.view.size();
-        ctx.copy_text(crate::scene::command::render_command(&scene, &path, "picture.png"));
+        ctx.copy_text(crate::scene::command::render_command(
+            &scene,
+            &path,
+            "picture.png",
+        ));
         self.report(LogLevel::Info, "Copied the command line of this view");
     }
 }
@@ -336,10 +479,18 @@ impl ClipForm {
         let last = self.frames.saturating_sub(1).max(1);
         let share = n as f32 / last as f32;
         // Forwards and backwards: up to the middle and down again.
-        let share = if self.back { 1.0 - (2.0 * share - 1.0).abs() } else { share };
+        let share = if self.back {
+            1.0 - (2.0 * share - 1.0).abs()
+        } else {
+            share
+        };
         let value = self.range[0] + (self.range[1] - self.range[0]) * share;
         let of = |scene: &mut Scene, d: usize| -> Result<()> {
-            if d < scene.deformation.len() { Ok(()) } else { Err(Error::value("clip", "the deformation is no longer there")) }
+            if d < scene.deformation.len() {
+                Ok(())
+            } else {
+                Err(Error::value("clip", "the deformation is no longer there"))
+            }
         };
         match &self.travel {
             ClipMotion::Orbit => {
@@ -388,12 +539,23 @@ mod tests {
     fn an_orbit_comes_round_and_a_travel_goes_there_and_back() {
         let mut scene = Scene::of_volume("phantom:ball");
         scene.deformation.push(crate::scene::Deformation::new("peel"));
-        let mut form = ClipForm { travel: ClipMotion::Orbit, range: [0.0, 1.0], back: true, frames: 8, rate: 25.0, size: [64, 64] };
-        let azimuths: Vec<f32> = (0..8).map(|n| form.frame(&scene, n).unwrap().camera.view.azimuth_deg).collect();
+        let mut form = ClipForm {
+            travel: ClipMotion::Orbit,
+            range: [0.0, 1.0],
+            back: true,
+            frames: 8,
+            rate: 25.0,
+            size: [64, 64],
+        };
+        let azimuths: Vec<f32> = (0..8)
+            .map(|n| form.frame(&scene, n).unwrap().camera.view.azimuth_deg)
+            .collect();
         assert_eq!(azimuths, [0.0, 45.0, 90.0, 135.0, -180.0, -135.0, -90.0, -45.0]);
         form.travel = ClipMotion::Progress(0);
         form.frames = 5;
-        let progress: Vec<f32> = (0..5).map(|n| form.frame(&scene, n).unwrap().deformation[0].progress.unwrap()).collect();
+        let progress: Vec<f32> = (0..5)
+            .map(|n| form.frame(&scene, n).unwrap().deformation[0].progress.unwrap())
+            .collect();
         assert_eq!(progress, [0.0, 0.5, 1.0, 0.5, 0.0]);
         form.travel = ClipMotion::Progress(3);
         assert!(form.frame(&scene, 0).is_err());

@@ -24,7 +24,10 @@ use std::sync::{Mutex, PoisonError};
 
 /// The first file of a scene that does not exist.
 fn missing(scene: &Scene) -> Option<PathBuf> {
-    scene.files().into_iter().find(|p| !p.starts_with("phantom:") && !p.to_string_lossy().starts_with("phantom:") && !p.exists())
+    scene
+        .files()
+        .into_iter()
+        .find(|p| !p.starts_with("phantom:") && !p.to_string_lossy().starts_with("phantom:") && !p.exists())
 }
 
 impl Workstation {
@@ -86,8 +89,15 @@ impl Workstation {
         let is_scene = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
         match Scene::of_input(path) {
             Ok(scene) => {
-                let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-                self.files.folder = path.parent().filter(|p| p.is_dir()).map(Path::to_owned).or(self.files.folder.take());
+                let name = path.file_name().map_or_else(
+                    || path.display().to_string(),
+                    |n| n.to_string_lossy().into_owned(),
+                );
+                self.files.folder = path
+                    .parent()
+                    .filter(|p| p.is_dir())
+                    .map(Path::to_owned)
+                    .or(self.files.folder.take());
                 self.start_loading(ctx, scene, is_scene.then(|| path.to_owned()), name, false, None);
                 if !path.to_string_lossy().starts_with("phantom:") {
                     self.session.opened(path);
@@ -108,15 +118,30 @@ impl Workstation {
                         Err(error) => self.report_error(&error),
                     }
                 }
-                let name = original.as_deref().and_then(Path::file_name).map_or_else(|| "recovered".into(), |n| n.to_string_lossy().into_owned());
-                let recovered = Recovered { file: file.to_owned(), original: original.clone(), saved: None };
+                let name = original
+                    .as_deref()
+                    .and_then(Path::file_name)
+                    .map_or_else(|| "recovered".into(), |n| n.to_string_lossy().into_owned());
+                let recovered = Recovered {
+                    file: file.to_owned(),
+                    original: original.clone(),
+                    saved: None,
+                };
                 self.start_loading(ctx, scene, original, name, false, Some(recovered));
             }
             Err(error) => self.report_error(&error),
         }
     }
 
-    fn start_loading(&mut self, ctx: &Context, scene: Scene, path: Option<PathBuf>, name: String, same: bool, recovered: Option<Recovered>) {
+    fn start_loading(
+        &mut self,
+        ctx: &Context,
+        scene: Scene,
+        path: Option<PathBuf>,
+        name: String,
+        same: bool,
+        recovered: Option<Recovered>,
+    ) {
         if let Some(before) = self.loading.take() {
             before.cancel();
         }
@@ -126,7 +151,13 @@ impl Workstation {
                 self.report(LogLevel::Error, format!("{problem}; check the path"));
                 return;
             }
-            self.dialog = Some(Dialog::Locate { missing: gone, scene: Box::new(scene), path, name, problem });
+            self.dialog = Some(Dialog::Locate {
+                missing: gone,
+                scene: Box::new(scene),
+                path,
+                name,
+                problem,
+            });
             return;
         }
         let stage = Arc::new(Mutex::new(("reading", 0.0)));
@@ -136,8 +167,17 @@ impl Workstation {
         let (shared_stage, stop, context) = (stage.clone(), cancel.clone(), ctx.clone());
         let key = Some(AssetKey::of(&scene));
         let spawned = std::thread::Builder::new().name("loading".into()).spawn(move || {
-            let progress = |what: &'static str, share: f32| *shared_stage.lock().unwrap_or_else(PoisonError::into_inner) = (what, share);
-            let assets = Assets::load_with(&scene, &LoadOptions { progress: Some(&progress), cancel: Some(&stop), previous: before.as_deref() });
+            let progress = |what: &'static str, share: f32| {
+                *shared_stage.lock().unwrap_or_else(PoisonError::into_inner) = (what, share)
+            };
+            let assets = Assets::load_with(
+                &scene,
+                &LoadOptions {
+                    progress: Some(&progress),
+                    cancel: Some(&stop),
+                    previous: before.as_deref(),
+                },
+            );
             // A scene that cannot be resolved is rejected like a file that cannot be read.
             let loaded = assets.map(|assets| {
                 // Values that every frame needs are computed here.
@@ -145,13 +185,28 @@ impl Workstation {
                 assets.volume.histogram(super::state::panels::BINS);
                 assets.volume.window(None, None);
                 assets.volume.labels();
-                Loaded { scene, assets, problem }
+                Loaded {
+                    scene,
+                    assets,
+                    problem,
+                }
             });
             let _window_closed = send.send(loaded);
             context.request_repaint();
         });
         match spawned {
-            Ok(_) => self.loading = Some(Loading { name, stage, cancel, result, key, path, same, recovered }),
+            Ok(_) => {
+                self.loading = Some(Loading {
+                    name,
+                    stage,
+                    cancel,
+                    result,
+                    key,
+                    path,
+                    same,
+                    recovered,
+                })
+            }
             Err(e) => self.report(LogLevel::Error, format!("no thread could be started: {e}")),
         }
     }
@@ -169,11 +224,14 @@ impl Workstation {
         let outcome = match loading.result.try_recv() {
             Err(TryRecvError::Empty) => return,
             Ok(outcome) => outcome,
-            Err(TryRecvError::Disconnected) => {
-                Err(Error::value(loading.name.clone(), "reading failed because of an internal error; please report the file"))
-            }
+            Err(TryRecvError::Disconnected) => Err(Error::value(
+                loading.name.clone(),
+                "reading failed because of an internal error; please report the file",
+            )),
         };
-        let Some(loading) = self.loading.take() else { return };
+        let Some(loading) = self.loading.take() else {
+            return;
+        };
         let stopped = loading.cancel.load(Ordering::Relaxed);
         match outcome {
             Ok(_) if stopped => self.report_error(&Error::Cancelled),
@@ -200,7 +258,11 @@ impl Workstation {
     }
 
     fn opened(&mut self, loaded: Loaded, loading: Loading) {
-        let Loaded { scene, assets, problem } = loaded;
+        let Loaded {
+            scene,
+            assets,
+            problem,
+        } = loaded;
         if let Some(error) = problem {
             self.report(LogLevel::Warning, format!("{}: {error}", loading.name));
         }
@@ -219,12 +281,19 @@ impl Workstation {
         let recovered = loading.recovered;
         if recovered.is_some() {
             doc.saved = None;
-            self.report(LogLevel::Info, format!("{}: recovered; save it to keep it", doc.name));
+            self.report(
+                LogLevel::Info,
+                format!("{}: recovered; save it to keep it", doc.name),
+            );
         }
         self.doc = Some(doc);
         if let Some(recovered) = recovered.filter(|r| r.file.exists()) {
             // The old automatic save is removed only once there is a new one.
-            match self.doc.as_ref().map(|d| self.session.autosave(&d.scene, d.path.as_deref())) {
+            match self
+                .doc
+                .as_ref()
+                .map(|d| self.session.autosave(&d.scene, d.path.as_deref()))
+            {
                 Some(Ok(())) => self.session.discard(&recovered),
                 Some(Err(error)) => self.report_error(&error),
                 None => {}
@@ -235,12 +304,17 @@ impl Workstation {
 
     /// The open scene's name, marked if it has unsaved edits.
     pub fn title(&self) -> String {
-        self.doc.as_ref().map_or_else(String::new, |d| format!("{}{}", d.name, if d.is_changed() { "*" } else { "" }))
+        self.doc.as_ref().map_or_else(String::new, |d| {
+            format!("{}{}", d.name, if d.is_changed() { "*" } else { "" })
+        })
     }
 
     /// Handles a file that was dropped onto the window, or chosen in addition to an open scene.
     pub fn dropped(&mut self, ctx: &Context, path: &Path) {
-        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let ending = path
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase())
+            .unwrap_or_default();
         let Some(doc) = &mut self.doc else {
             self.open(ctx, path);
             return;
@@ -249,7 +323,9 @@ impl Workstation {
         match ending.as_str() {
             "toml" => self.open(ctx, path),
             _ if mesh::load::is_mesh(path) => {
-                doc.scene.mesh.push(crate::scene::surface::MeshSource::of_file(text));
+                doc.scene
+                    .mesh
+                    .push(crate::scene::surface::MeshSource::of_file(text));
                 doc.selected = super::state::document::Selection::Mesh(doc.scene.mesh.len() - 1);
                 self.session.opened(path);
             }
@@ -260,7 +336,12 @@ impl Workstation {
             }
             _ if doc.assets.has_volume => self.dialog = Some(Dialog::Second(path.to_owned())),
             _ => {
-                doc.scene.volume = Some(VolumeSource { path: text, choice: ReadOptions::default(), labels: None, inside: None });
+                doc.scene.volume = Some(VolumeSource {
+                    path: text,
+                    choice: ReadOptions::default(),
+                    labels: None,
+                    inside: None,
+                });
                 if doc.scene.render.mode == Mode::Surface {
                     doc.scene.render.mode = Mode::Raycast;
                 }
@@ -277,7 +358,12 @@ impl Workstation {
                 let Some(doc) = &mut app.doc else { return };
                 let name = path.file_name().map(|n| n.to_string_lossy().into_owned());
                 let volume = Some(text_of(&path));
-                doc.scene.mesh.push(crate::scene::surface::MeshSource { iso: Some(iso), volume, name, ..Default::default() });
+                doc.scene.mesh.push(crate::scene::surface::MeshSource {
+                    iso: Some(iso),
+                    volume,
+                    name,
+                    ..Default::default()
+                });
                 doc.selected = super::state::document::Selection::Mesh(doc.scene.mesh.len() - 1);
             }))
         });
@@ -296,8 +382,10 @@ impl Workstation {
         let path = path.to_owned();
         self.start(ctx, "Reading a map", move |watch| {
             let image = crate::volume::load::image(&path, &Default::default(), watch)?;
-            let placement =
-                crate::deform::compose::placement_of(&crate::volume::GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel })?;
+            let placement = crate::deform::compose::placement_of(&crate::volume::GridGeometry {
+                size: image.size,
+                world_from_voxel: image.world_from_voxel,
+            })?;
             Ok(Box::new(move |app: &mut Workstation, _: &Context| {
                 let Some(doc) = &mut app.doc else { return };
                 let bounds = doc.bounds();
@@ -312,7 +400,9 @@ impl Workstation {
                 let ratio = size.max_element() / bounds.size().max_element().max(1e-3);
                 if !inside || !(0.2..=2.5).contains(&ratio) {
                     d.center = Some(tidy(bounds.center()));
-                    d.size = Some(Size::Box(tidy(size / size.max_element() * bounds.size().max_element())));
+                    d.size = Some(Size::Box(tidy(
+                        size / size.max_element() * bounds.size().max_element(),
+                    )));
                 }
                 doc.add(d);
             }))
@@ -335,20 +425,27 @@ impl Workstation {
     /// Opens a dialog for a file to open.
     pub fn choose_file_to_open(&mut self) {
         const VOLUMES: &[&str] = &[
-            "gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "png", "jpg", "jpeg", "npy", "raw", "dcm", "dicom", "ima", "zip",
-            "hdr", "img",
+            "gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "png", "jpg", "jpeg",
+            "npy", "raw", "dcm", "dicom", "ima", "zip", "hdr", "img",
         ];
         self.files.open_dialog(
             FilePurpose::Open,
             "Open a scene, a volume or a mesh",
             None,
-            &[("Scenes", &["toml"]), ("Volumes", VOLUMES), ("Meshes", &mesh::load::ENDINGS)],
+            &[
+                ("Scenes", &["toml"]),
+                ("Volumes", VOLUMES),
+                ("Meshes", &mesh::load::ENDINGS),
+            ],
         );
     }
 
     /// Opens a dialog for a folder to open.
     pub fn choose_folder_to_open(&mut self) {
-        self.files.open_folder_dialog(FilePurpose::Open, "Open a folder of DICOM files, slices or a Zarr store");
+        self.files.open_folder_dialog(
+            FilePurpose::Open,
+            "Open a folder of DICOM files, slices or a Zarr store",
+        );
     }
 
     /// Saves the scene to its file, or asks for one.
@@ -362,9 +459,15 @@ impl Workstation {
     /// Opens a dialog for the scene's file.
     pub fn choose_save_file(&mut self, after: Option<NextStep>) {
         let Some(doc) = &self.doc else { return };
-        let stem = doc.name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("scene");
+        let stem = doc
+            .name
+            .split('.')
+            .next()
+            .filter(|s| !s.is_empty())
+            .unwrap_or("scene");
         let name = format!("{}.toml", stem.replace([':', '/'], "-"));
-        self.files.open_dialog(FilePurpose::Save(after), "Save the scene", Some(&name), &[]);
+        self.files
+            .open_dialog(FilePurpose::Save(after), "Save the scene", Some(&name), &[]);
     }
 
     /// Saves the scene to a file.
@@ -384,7 +487,9 @@ impl Workstation {
             Ok(moved) => {
                 doc.scene = moved;
                 doc.saved = Some(doc.scene.clone());
-                doc.name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+                doc.name = path
+                    .file_name()
+                    .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
                 doc.path = Some(path.clone());
                 self.history.take_snapshot(&doc.scene);
                 self.session.forget();
@@ -405,9 +510,14 @@ impl Workstation {
         }
         self.files.dialog.update(ctx);
         let picked = self.files.dialog.take_picked();
-        let closed = matches!(self.files.dialog.state(), DialogState::Cancelled | DialogState::Closed);
+        let closed = matches!(
+            self.files.dialog.state(),
+            DialogState::Cancelled | DialogState::Closed
+        );
         if let Some(path) = picked {
-            let Some(purpose) = self.files.purpose.take() else { return };
+            let Some(purpose) = self.files.purpose.take() else {
+                return;
+            };
             self.files.folder = path.parent().map(Path::to_owned);
             self.chosen(ctx, &path, purpose);
         } else if closed && let Some(FilePurpose::Locate(dialog)) = self.files.purpose.take() {
@@ -429,11 +539,22 @@ impl Workstation {
             FilePurpose::ExportTransfer => self.export_transfer(path),
             FilePurpose::Labels => self.set_labels(path),
             FilePurpose::Locate(dialog) => {
-                if let Dialog::Locate { missing, scene, path: file, name, .. } = *dialog {
+                if let Dialog::Locate {
+                    missing,
+                    scene,
+                    path: file,
+                    name,
+                    ..
+                } = *dialog
+                {
                     let mut scene = *scene;
                     scene.relocate(&missing, path);
                     // With the relocated file the scene counts as never saved.
-                    let recovered = Recovered { file: PathBuf::new(), original: file.clone(), saved: None };
+                    let recovered = Recovered {
+                        file: PathBuf::new(),
+                        original: file.clone(),
+                        saved: None,
+                    };
                     self.start_loading(ctx, scene, file, name, false, Some(recovered));
                 }
             }
@@ -443,10 +564,14 @@ impl Workstation {
     /// Opens a dialog to locate a missing file.
     pub fn choose_missing_file(&mut self, dialog: Dialog) {
         let title = match &dialog {
-            Dialog::Locate { missing, .. } => format!("Locate {}", missing.file_name().unwrap_or_default().to_string_lossy()),
+            Dialog::Locate { missing, .. } => format!(
+                "Locate {}",
+                missing.file_name().unwrap_or_default().to_string_lossy()
+            ),
             _ => "Locate".into(),
         };
-        self.files.open_dialog(FilePurpose::Locate(Box::new(dialog)), &title, None, &[]);
+        self.files
+            .open_dialog(FilePurpose::Locate(Box::new(dialog)), &title, None, &[]);
     }
 }
 

@@ -34,7 +34,11 @@ impl Workstation {
         let menu = egui::Popup::is_any_open(ctx);
         if self.session.settings.blender && !typing && self.selected_deformation().is_some() {
             // As in Blender: keys move, rotate and scale the selection.
-            for (key, mode) in [(egui::Key::G, GizmoMode::Move), (egui::Key::R, GizmoMode::Rotate), (egui::Key::S, GizmoMode::Scale)] {
+            for (key, mode) in [
+                (egui::Key::G, GizmoMode::Move),
+                (egui::Key::R, GizmoMode::Rotate),
+                (egui::Key::S, GizmoMode::Scale),
+            ] {
                 if ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, key)) {
                     self.tool = Tool::Navigate;
                     self.view.gizmo = mode;
@@ -45,7 +49,9 @@ impl Workstation {
         // Keys with more modifiers first: Ctrl+Shift+Z is not Ctrl+Z.
         let mut order: Vec<usize> = (0..self.entries.len()).collect();
         let weight = |m: egui::Modifiers| u8::from(m.command) + u8::from(m.shift) + u8::from(m.alt);
-        order.sort_by_key(|n| std::cmp::Reverse(self.entries[*n].key.as_ref().map_or(0, |k| weight(k.modifiers))));
+        order.sort_by_key(|n| {
+            std::cmp::Reverse(self.entries[*n].key.as_ref().map_or(0, |k| weight(k.modifiers)))
+        });
         for n in order {
             let entry = &self.entries[n];
             let Some(key) = &entry.key else { continue };
@@ -75,7 +81,13 @@ impl Workstation {
         let digit = |key: Key| matches!(key, Key::Num1 | Key::Num3 | Key::Num5 | Key::Num7 | Key::Num9);
         ctx.input_mut(|i| {
             for event in &mut i.events {
-                if let Event::Key { key, physical_key, modifiers, .. } = event {
+                if let Event::Key {
+                    key,
+                    physical_key,
+                    modifiers,
+                    ..
+                } = event
+                {
                     if let Some(physical) = physical_key.filter(|p| modifiers.shift && !typing && digit(*p)) {
                         *key = physical;
                     }
@@ -84,8 +96,15 @@ impl Workstation {
                     }
                 }
             }
-            let repeats = |key: &Key| matches!(key, Key::OpenBracket | Key::CloseBracket | Key::Z | Key::Plus | Key::Minus);
-            i.events.retain(|e| typing || !matches!(e, Event::Key { key, repeat: true, pressed: true, .. } if !repeats(key)));
+            let repeats = |key: &Key| {
+                matches!(
+                    key,
+                    Key::OpenBracket | Key::CloseBracket | Key::Z | Key::Plus | Key::Minus
+                )
+            };
+            i.events.retain(|e| {
+                typing || !matches!(e, Event::Key { key, repeat: true, pressed: true, .. } if !repeats(key))
+            });
         });
         // Tab toggles before and after here; it does not move the focus to the next widget.
         if !typing && ctx.input(|i| i.key_pressed(Key::Tab)) {

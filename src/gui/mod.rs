@@ -52,20 +52,32 @@ pub fn open(file: Option<PathBuf>) -> Result<()> {
         .with_inner_size([1280.0, 800.0])
         .with_min_inner_size([800.0, 560.0])
         .with_drag_and_drop(true);
-    let options = eframe::NativeOptions { viewport, ..Default::default() };
+    let options = eframe::NativeOptions {
+        viewport,
+        ..Default::default()
+    };
     let run = eframe::run_native(
         "incise",
         options,
         Box::new(move |creation| {
-            let options = Options { file, folder: std::env::var_os("INCISE_HOME").map(PathBuf::from), backend: None };
+            let options = Options {
+                file,
+                folder: std::env::var_os("INCISE_HOME").map(PathBuf::from),
+                backend: None,
+            };
             Ok(Box::new(Workstation::new(&creation.egui_ctx, options)))
         }),
     );
     run.map_err(|e| {
         let why = match e {
-            eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_) => "no display is available".to_owned(),
+            eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_) => {
+                "no display is available".to_owned()
+            }
             other => other.to_string(),
         };
-        Error::value("workstation", format!("no window could be opened ({why}); pictures are rendered without one by: incise render"))
+        Error::value(
+            "workstation",
+            format!("no window could be opened ({why}); pictures are rendered without one by: incise render"),
+        )
     })
 }

@@ -1,4 +1,5 @@
-//! Requests to the worker: pictures of the 3D view and of the slices, and what lies under a position.
+//! Requests to the worker: pictures of the 3D view and of the slices, and what lies under a
+//! position.
 
 use super::projector::Projector;
 use super::state::shown::PictureRequest;
@@ -41,7 +42,11 @@ impl Workstation {
         }
         let assets = doc.assets.clone();
         let Some(scene) = self.scene_of_view() else { return };
-        let wanted = PictureRequest { scene: Arc::new(scene), assets: assets.clone(), undeformed: self.shows_undeformed() };
+        let wanted = PictureRequest {
+            scene: Arc::new(scene),
+            assets: assets.clone(),
+            undeformed: self.shows_undeformed(),
+        };
         let wanted = match &self.view.requested {
             Some(requested) if requested.is(&wanted) => requested.clone(),
             _ => {
@@ -51,7 +56,8 @@ impl Workstation {
         };
         let current = self.view.is_current();
         self.view.delay.note(current && self.view.delay.failure.is_none());
-        let waits = !self.view.is_fine && self.view.fine_serial.is_none() && self.view.delay.failure.is_none();
+        let waits =
+            !self.view.is_fine && self.view.fine_serial.is_none() && self.view.delay.failure.is_none();
         let rested = self.view.changed_at.elapsed().as_secs_f64() >= REST;
         let at_once = self.view.fine_ms <= COARSE_MS;
         let held = ctx.input(|i| i.pointer.any_down()) && !at_once;
@@ -60,7 +66,11 @@ impl Workstation {
                 JobTarget::Fine,
                 wanted.scene.clone(),
                 assets,
-                JobKind::Picture { counting: false, with_pixels: false, quality: Quality::Full },
+                JobKind::Picture {
+                    counting: false,
+                    with_pixels: false,
+                    quality: Quality::Full,
+                },
             );
             self.view.fine_serial = Some(serial);
             self.view.open.push((serial, wanted));
@@ -79,22 +89,40 @@ impl Workstation {
         self.worker.drop_jobs(|t| t == JobTarget::Fine);
         // If fine pictures are fast enough, coarse ones are not needed.
         if self.view.fine_ms > COARSE_MS {
-            let quality = Quality::Draft { scale: self.view.scale };
+            let quality = Quality::Draft {
+                scale: self.view.scale,
+            };
             self.view.coarse_open = true;
             let serial = self.submit(
                 JobTarget::Coarse,
                 wanted.scene.clone(),
                 wanted.assets.clone(),
-                JobKind::Picture { counting: false, with_pixels: false, quality },
+                JobKind::Picture {
+                    counting: false,
+                    with_pixels: false,
+                    quality,
+                },
             );
             self.view.open.push((serial, wanted.clone()));
         }
     }
 
     /// Submits a job to the worker; returns its number.
-    pub fn submit(&mut self, target: JobTarget, scene: Arc<Scene>, assets: Arc<crate::prepare::Assets>, what: JobKind) -> u64 {
+    pub fn submit(
+        &mut self,
+        target: JobTarget,
+        scene: Arc<Scene>,
+        assets: Arc<crate::prepare::Assets>,
+        what: JobKind,
+    ) -> u64 {
         self.serial += 1;
-        self.worker.submit(Job { target, serial: self.serial, scene, assets, what });
+        self.worker.submit(Job {
+            target,
+            serial: self.serial,
+            scene,
+            assets,
+            what,
+        });
         self.serial
     }
 
@@ -105,10 +133,18 @@ impl Workstation {
         // A stroke is drawn on the scene as it was when the stroke began.
         let scene = match (&purpose, &self.stroke_scene) {
             (ProbePurpose::Brush { .. }, Some(frozen)) if frozen.camera == scene.camera => frozen.clone(),
-            (ProbePurpose::Brush { .. }, Some(frozen)) => Arc::new(Scene { camera: scene.camera.clone(), ..(**frozen).clone() }),
+            (ProbePurpose::Brush { .. }, Some(frozen)) => Arc::new(Scene {
+                camera: scene.camera.clone(),
+                ..(**frozen).clone()
+            }),
             _ => scene,
         };
-        self.prober.ask(ProbeRequest { scene, assets, at, purpose });
+        self.prober.ask(ProbeRequest {
+            scene,
+            assets,
+            at,
+            purpose,
+        });
     }
 
     pub(super) fn request_slice(&mut self, pane: usize, plane: SectionPlane, style: SliceStyle) {
@@ -123,9 +159,23 @@ impl Workstation {
                 shared
             }
         };
-        let requested = SliceRequest { scene: shared.clone(), assets: assets.clone(), plane, style };
-        if self.slices.panes[pane].requested.as_ref().is_none_or(|a| !a.is(&requested)) {
-            let serial = self.submit(JobTarget::Slice(pane), shared, assets, JobKind::Slice(plane, style));
+        let requested = SliceRequest {
+            scene: shared.clone(),
+            assets: assets.clone(),
+            plane,
+            style,
+        };
+        if self.slices.panes[pane]
+            .requested
+            .as_ref()
+            .is_none_or(|a| !a.is(&requested))
+        {
+            let serial = self.submit(
+                JobTarget::Slice(pane),
+                shared,
+                assets,
+                JobKind::Slice(plane, style),
+            );
             let state = &mut self.slices.panes[pane];
             state.open.push((serial, requested.clone()));
             state.requested = Some(requested);
@@ -134,7 +184,11 @@ impl Workstation {
     }
 
     pub(super) fn click_slice(&mut self, at: Vec3, n: usize, source: bool) {
-        let from = if source { Some(at) } else { self.slices.source_of(n, at) };
+        let from = if source {
+            Some(at)
+        } else {
+            self.slices.source_of(n, at)
+        };
         match self.tool {
             Tool::Measure(_) | Tool::Probe => {
                 if let Some(from) = from {
@@ -153,7 +207,9 @@ impl Workstation {
     }
 
     pub(super) fn clamped(&self, p: Vec3) -> Vec3 {
-        self.doc.as_ref().map_or(p, |d| p.clamp(d.bounds().min, d.bounds().max))
+        self.doc
+            .as_ref()
+            .map_or(p, |d| p.clamp(d.bounds().min, d.bounds().max))
     }
 }
 
@@ -161,11 +217,19 @@ impl Workstation {
 fn sliced(scene: &Scene) -> Scene {
     let mut plain = history::without_camera(scene);
     // Deformations locked to the view depend on the camera.
-    if scene.deformation.iter().any(|d| crate::deform::kinds::kind(&d.kind).is_ok_and(|k| k.locked_to_view)) {
+    if scene
+        .deformation
+        .iter()
+        .any(|d| crate::deform::kinds::kind(&d.kind).is_ok_and(|k| k.locked_to_view))
+    {
         plain.camera = scene.camera.clone();
     }
-    plain.render =
-        crate::scene::RenderSettings { step: 1.0, exact_cuts: scene.render.exact_cuts, precompose: scene.render.precompose, ..Default::default() };
+    plain.render = crate::scene::RenderSettings {
+        step: 1.0,
+        exact_cuts: scene.render.exact_cuts,
+        precompose: scene.render.precompose,
+        ..Default::default()
+    };
     plain.transfer = Default::default();
     plain.light = Default::default();
     plain.measure.clear();

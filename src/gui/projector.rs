@@ -41,7 +41,10 @@ impl Projector {
     /// Picture coordinates of a screen position.
     pub fn at(&self, pos: Pos2) -> [f32; 2] {
         let d = pos - self.rect.center();
-        [2.0 * d.x / self.rect.width().max(1.0), -2.0 * d.y / self.rect.height().max(1.0)]
+        [
+            2.0 * d.x / self.rect.width().max(1.0),
+            -2.0 * d.y / self.rect.height().max(1.0),
+        ]
     }
 
     /// The ray through a screen position: origin and unit direction.
@@ -67,7 +70,8 @@ impl Projector {
             return None;
         }
         let t = (point - origin).dot(normal) / facing;
-        (t.is_finite() && (t > 0.0 || self.frame.projection == Projection::Orthographic)).then(|| origin + direction * t)
+        (t.is_finite() && (t > 0.0 || self.frame.projection == Projection::Orthographic))
+            .then(|| origin + direction * t)
     }
 
     /// Position along a line (mm) of the point nearest to the ray through a screen position.
@@ -94,8 +98,15 @@ mod tests {
         let bounds = Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0));
         [Projection::Perspective, Projection::Orthographic]
             .map(|projection| {
-                let camera = Camera { view: "30,20".parse().unwrap(), projection, ..Camera::default() };
-                Projector { frame: camera.frame(&bounds, [400, 200]).unwrap(), rect: Rect::from_min_size(pos2(10.0, 20.0), vec2(400.0, 200.0)) }
+                let camera = Camera {
+                    view: "30,20".parse().unwrap(),
+                    projection,
+                    ..Camera::default()
+                };
+                Projector {
+                    frame: camera.frame(&bounds, [400, 200]).unwrap(),
+                    rect: Rect::from_min_size(pos2(10.0, 20.0), vec2(400.0, 200.0)),
+                }
             })
             .into()
     }
@@ -107,9 +118,13 @@ mod tests {
             let (origin, direction) = p.ray(p.screen(world).unwrap());
             let away = (world - origin).cross(direction).length();
             assert!(away < 1e-2, "{away}");
-            let at = p.on_plane(p.screen(world).unwrap(), world, p.frame.forward).unwrap();
+            let at = p
+                .on_plane(p.screen(world).unwrap(), world, p.frame.forward)
+                .unwrap();
             assert!((at - world).length() < 2e-2);
-            let t = p.along_line(p.screen(world + Vec3::X * 9.0).unwrap(), world, Vec3::X * 3.0).unwrap();
+            let t = p
+                .along_line(p.screen(world + Vec3::X * 9.0).unwrap(), world, Vec3::X * 3.0)
+                .unwrap();
             assert!((t - 9.0).abs() < 2e-2, "{t}");
         }
     }

@@ -86,10 +86,20 @@ impl Workstation {
 
     /// Gives an action another key, which any other action loses.
     fn set_key(&mut self, label: &str, key: KeyboardShortcut) {
-        for entry in self.entries.iter().filter(|e| e.label != label && e.key == Some(key)) {
-            self.session.settings.keys.insert(entry.label.clone(), String::new());
+        for entry in self
+            .entries
+            .iter()
+            .filter(|e| e.label != label && e.key == Some(key))
+        {
+            self.session
+                .settings
+                .keys
+                .insert(entry.label.clone(), String::new());
         }
-        self.session.settings.keys.insert(label.to_owned(), action::key_text(&key));
+        self.session
+            .settings
+            .keys
+            .insert(label.to_owned(), action::key_text(&key));
         self.apply_keys();
     }
 }

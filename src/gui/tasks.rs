@@ -17,21 +17,39 @@ pub fn report_when_done(text: String) -> Finish {
 
 impl Workstation {
     /// Starts a task.
-    pub fn start(&mut self, ctx: &Context, name: &str, work: impl FnOnce(&Watch) -> Result<Finish> + Send + 'static) {
+    pub fn start(
+        &mut self,
+        ctx: &Context,
+        name: &str,
+        work: impl FnOnce(&Watch) -> Result<Finish> + Send + 'static,
+    ) {
         // The scene is saved in case the task crashes the program.
         self.autosave();
         let (progress, cancel) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicBool::new(false)));
         let (send, result) = channel();
         let (shared_progress, stop, ctx) = (progress.clone(), cancel.clone(), ctx.clone());
         let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
-            let report = |share: f32| shared_progress.store((share.clamp(0.0, 1.0) * 1000.0) as u32, Ordering::Relaxed);
-            let outcome = work(&Watch { progress: &report, cancel: &stop });
+            let report = |share: f32| {
+                shared_progress.store((share.clamp(0.0, 1.0) * 1000.0) as u32, Ordering::Relaxed)
+            };
+            let outcome = work(&Watch {
+                progress: &report,
+                cancel: &stop,
+            });
             let _window_closed = send.send(outcome);
             ctx.request_repaint();
         });
         match spawned {
-            Ok(_) => self.tasks.push(Task { name: name.to_owned(), progress, cancel, result }),
-            Err(e) => self.report(LogLevel::Error, format!("{name}: no thread could be started: {e}")),
+            Ok(_) => self.tasks.push(Task {
+                name: name.to_owned(),
+                progress,
+                cancel,
+                result,
+            }),
+            Err(e) => self.report(
+                LogLevel::Error,
+                format!("{name}: no thread could be started: {e}"),
+            ),
         }
     }
 
@@ -39,7 +57,8 @@ impl Workstation {
     pub(super) fn end_tasks(&mut self) {
         let start = std::time::Instant::now();
         while !self.tasks.is_empty() && start.elapsed() < std::time::Duration::from_millis(800) {
-            self.tasks.retain(|t| matches!(t.result.try_recv(), Err(TryRecvError::Empty)));
+            self.tasks
+                .retain(|t| matches!(t.result.try_recv(), Err(TryRecvError::Empty)));
             std::thread::sleep(std::time::Duration::from_millis(10));
         }
         self.tasks.clear();
@@ -60,7 +79,10 @@ impl Workstation {
                 }
                 Err(TryRecvError::Disconnected) => {
                     let task = self.tasks.remove(n);
-                    self.report_error(&Error::value(task.name, "failed because of an internal error; the scene is intact"));
+                    self.report_error(&Error::value(
+                        task.name,
+                        "failed because of an internal error; the scene is intact",
+                    ));
                 }
             }
         }

@@ -1,7 +1,9 @@
 //! Colours, sizes and fonts: neutral greys behind pictures, one accent, no distinction of red from
 //! green.
 
-use eframe::egui::{self, Color32, CornerRadius, FontFamily, FontId, Stroke, TextStyle, Theme, Visuals, vec2};
+use eframe::egui::{
+    self, Color32, CornerRadius, FontFamily, FontId, Stroke, TextStyle, Theme, Visuals, vec2,
+};
 
 /// The accent in the dark and in the light theme.
 const ACCENT_DARK: Color32 = Color32::from_rgb(92, 170, 240);
@@ -13,13 +15,21 @@ pub const CANVAS: Color32 = Color32::from_rgb(20, 22, 26);
 pub const ON_CANVAS: Color32 = Color32::from_rgb(226, 229, 233);
 /// Handles: one colour per axis, distinguishable with any colour vision (orange, sky blue,
 /// yellowish).
-pub const AXES: [Color32; 3] = [Color32::from_rgb(240, 140, 60), Color32::from_rgb(110, 190, 245), Color32::from_rgb(240, 215, 110)];
+pub const AXES: [Color32; 3] = [
+    Color32::from_rgb(240, 140, 60),
+    Color32::from_rgb(110, 190, 245),
+    Color32::from_rgb(240, 215, 110),
+];
 /// The selection on a picture.
 pub const SELECTED: Color32 = Color32::from_rgb(120, 195, 255);
 
 /// The accent of the current theme.
 pub fn accent(ui: &egui::Ui) -> Color32 {
-    if ui.visuals().dark_mode { ACCENT_DARK } else { ACCENT_LIGHT }
+    if ui.visuals().dark_mode {
+        ACCENT_DARK
+    } else {
+        ACCENT_LIGHT
+    }
 }
 
 /// Installs the fonts and both themes.
@@ -66,14 +76,39 @@ fn visuals(theme: Theme) -> Visuals {
     v.widgets.hovered.bg_stroke = Stroke::new(1.0, grey(96, 170));
     v.widgets.active.weak_bg_fill = grey(76, 200);
     v.widgets.open.weak_bg_fill = grey(58, 220);
-    v.selection.bg_fill = if dark { Color32::from_rgb(38, 84, 130) } else { Color32::from_rgb(176, 208, 242) };
-    v.selection.stroke = Stroke::new(1.0, if dark { Color32::WHITE } else { Color32::from_rgb(10, 40, 80) });
+    v.selection.bg_fill = if dark {
+        Color32::from_rgb(38, 84, 130)
+    } else {
+        Color32::from_rgb(176, 208, 242)
+    };
+    v.selection.stroke = Stroke::new(
+        1.0,
+        if dark {
+            Color32::WHITE
+        } else {
+            Color32::from_rgb(10, 40, 80)
+        },
+    );
     v.hyperlink_color = accent;
-    v.warn_fg_color = if dark { Color32::from_rgb(245, 185, 90) } else { Color32::from_rgb(140, 80, 0) };
-    v.error_fg_color = if dark { Color32::from_rgb(255, 150, 120) } else { Color32::from_rgb(165, 40, 10) };
+    v.warn_fg_color = if dark {
+        Color32::from_rgb(245, 185, 90)
+    } else {
+        Color32::from_rgb(140, 80, 0)
+    };
+    v.error_fg_color = if dark {
+        Color32::from_rgb(255, 150, 120)
+    } else {
+        Color32::from_rgb(165, 40, 10)
+    };
     v.slider_trailing_fill = true;
     let round = CornerRadius::same(4);
-    for w in [&mut v.widgets.noninteractive, &mut v.widgets.inactive, &mut v.widgets.hovered, &mut v.widgets.active, &mut v.widgets.open] {
+    for w in [
+        &mut v.widgets.noninteractive,
+        &mut v.widgets.inactive,
+        &mut v.widgets.hovered,
+        &mut v.widgets.active,
+        &mut v.widgets.open,
+    ] {
         w.corner_radius = round;
         w.expansion = 0.0;
     }
@@ -89,7 +124,11 @@ mod tests {
     fn luminance(c: Color32) -> f64 {
         let linear = |v: u8| {
             let v = f64::from(v) / 255.0;
-            if v <= 0.03928 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+            if v <= 0.03928 {
+                v / 12.92
+            } else {
+                ((v + 0.055) / 1.055).powf(2.4)
+            }
         };
         0.2126 * linear(c.r()) + 0.7152 * linear(c.g()) + 0.0722 * linear(c.b())
     }
@@ -103,13 +142,28 @@ mod tests {
     fn text_can_be_read() {
         for theme in [Theme::Dark, Theme::Light] {
             let v = visuals(theme);
-            let texts = [v.widgets.noninteractive.fg_stroke.color, v.warn_fg_color, v.error_fg_color, v.hyperlink_color, v.weak_text_color()];
+            let texts = [
+                v.widgets.noninteractive.fg_stroke.color,
+                v.warn_fg_color,
+                v.error_fg_color,
+                v.hyperlink_color,
+                v.weak_text_color(),
+            ];
             for (n, text) in texts.into_iter().enumerate() {
                 for back in [v.panel_fill, v.window_fill, v.faint_bg_color] {
-                    assert!(contrast(text, back) >= 4.5, "{theme:?} {n}: {}", contrast(text, back));
+                    assert!(
+                        contrast(text, back) >= 4.5,
+                        "{theme:?} {n}: {}",
+                        contrast(text, back)
+                    );
                 }
             }
-            assert!(contrast(v.widgets.inactive.fg_stroke.color, v.widgets.inactive.weak_bg_fill) >= 4.5);
+            assert!(
+                contrast(
+                    v.widgets.inactive.fg_stroke.color,
+                    v.widgets.inactive.weak_bg_fill
+                ) >= 4.5
+            );
             assert!(contrast(v.selection.stroke.color, v.selection.bg_fill) >= 4.5);
         }
         assert!(AXES.iter().all(|c| contrast(*c, CANVAS) >= 4.5) && contrast(ON_CANVAS, CANVAS) >= 4.5);

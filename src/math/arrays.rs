@@ -7,7 +7,10 @@ use ndarray::{Array3, ArrayBase, Data, Dimension};
 /// # Panics
 /// If it is not in standard layout; every array of a grid is.
 #[inline(always)]
-#[allow(clippy::expect_used, reason = "arrays are brought into standard layout when they are made")]
+#[allow(
+    clippy::expect_used,
+    reason = "arrays are brought into standard layout when they are made"
+)]
 pub fn flat<S: Data, D: Dimension>(array: &ArrayBase<S, D>) -> &[S::Elem] {
     array.as_slice().expect("arrays are in standard layout")
 }

@@ -14,9 +14,15 @@ pub struct Bounds {
 
 impl Bounds {
     /// The empty box.
-    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+    pub const EMPTY: Self = Self {
+        min: Vec3::INFINITY,
+        max: Vec3::NEG_INFINITY,
+    };
     /// The unit cube, map space's domain.
-    pub const UNIT: Self = Self { min: Vec3::ZERO, max: Vec3::ONE };
+    pub const UNIT: Self = Self {
+        min: Vec3::ZERO,
+        max: Vec3::ONE,
+    };
 
     /// The box between two corners.
     pub fn new(min: Vec3, max: Vec3) -> Self {
@@ -51,17 +57,26 @@ impl Bounds {
 
     /// The smallest box around both.
     pub fn union(&self, other: &Self) -> Self {
-        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+        Self {
+            min: self.min.min(other.min),
+            max: self.max.max(other.max),
+        }
     }
 
     /// The overlap of both (possibly empty).
     pub fn intersection(&self, other: &Self) -> Self {
-        Self { min: self.min.max(other.min), max: self.max.min(other.max) }
+        Self {
+            min: self.min.max(other.min),
+            max: self.max.min(other.max),
+        }
     }
 
     /// Grown by `margin` on every side.
     pub fn grown(&self, margin: f32) -> Self {
-        Self { min: self.min - margin, max: self.max + margin }
+        Self {
+            min: self.min - margin,
+            max: self.max + margin,
+        }
     }
 
     /// Whether `other` lies entirely inside.
@@ -76,7 +91,10 @@ impl Bounds {
         let half = Vec3A::from(self.size() * 0.5);
         let m = transform.matrix3;
         let extent = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
-        Self { min: (center - extent).into(), max: (center + extent).into() }
+        Self {
+            min: (center - extent).into(),
+            max: (center + extent).into(),
+        }
     }
 
     /// The parameters at which `origin + t * direction` enters and leaves the box, if it meets it.
@@ -103,8 +121,16 @@ impl Bounds {
     /// Where eight rays `origin + t d` enter and leave the box, from 1/d. A ray misses if it leaves
     /// before it enters; every ray misses an empty box.
     #[inline(always)]
-    pub fn intersect_rays<S: Simd>(&self, simd: S, origin: Vec3x8<S>, inverse: Vec3x8<S>) -> (f32x8<S>, f32x8<S>) {
-        let (least, most) = (f32x8::splat(simd, f32::NEG_INFINITY), f32x8::splat(simd, f32::INFINITY));
+    pub fn intersect_rays<S: Simd>(
+        &self,
+        simd: S,
+        origin: Vec3x8<S>,
+        inverse: Vec3x8<S>,
+    ) -> (f32x8<S>, f32x8<S>) {
+        let (least, most) = (
+            f32x8::splat(simd, f32::NEG_INFINITY),
+            f32x8::splat(simd, f32::INFINITY),
+        );
         if self.is_empty() {
             return (most, least);
         }
@@ -112,14 +138,25 @@ impl Bounds {
         let (near_y, far_y) = between(simd, [self.min.y, self.max.y], origin.y, inverse.y);
         let (near_z, far_z) = between(simd, [self.min.z, self.max.z], origin.z, inverse.z);
         let near = least.max_precise(near_x).max_precise(near_y).max_precise(near_z);
-        (near, most.min_precise(far_x).min_precise(far_y).min_precise(far_z))
+        (
+            near,
+            most.min_precise(far_x).min_precise(far_y).min_precise(far_z),
+        )
     }
 }
 
 /// Where rays enter and leave the slab between two coordinates along an axis.
 #[inline(always)]
-fn between<S: Simd>(simd: S, [low, high]: [f32; 2], origin: f32x8<S>, inverse: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
-    let (a, b) = ((f32x8::splat(simd, low) - origin) * inverse, (f32x8::splat(simd, high) - origin) * inverse);
+fn between<S: Simd>(
+    simd: S,
+    [low, high]: [f32; 2],
+    origin: f32x8<S>,
+    inverse: f32x8<S>,
+) -> (f32x8<S>, f32x8<S>) {
+    let (a, b) = (
+        (f32x8::splat(simd, low) - origin) * inverse,
+        (f32x8::splat(simd, high) - origin) * inverse,
+    );
     // Minima and maxima that drop NaN.
     (a.min_precise(b), a.max_precise(b))
 }
@@ -131,7 +168,10 @@ mod tests {
     #[test]
     fn ray_meets_box_where_it_should() {
         let unit = Bounds::UNIT;
-        assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 0.5, 0.5), Vec3::X), Some((1.0, 2.0)));
+        assert_eq!(
+            unit.intersect_ray(Vec3::new(-1.0, 0.5, 0.5), Vec3::X),
+            Some((1.0, 2.0))
+        );
         assert_eq!(unit.intersect_ray(Vec3::new(-1.0, 1.5, 0.5), Vec3::X), None);
         // A scene that shows nothing made a ray loop forever.
         assert_eq!(Bounds::EMPTY.intersect_ray(Vec3::ZERO, Vec3::X), None);

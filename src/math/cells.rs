@@ -32,8 +32,15 @@ impl<S: Simd> Cells<S> {
     /// `margin` cells away from its faces; points outside the grid are clamped to it.
     #[inline(always)]
     pub fn of(p: Vec3x8<S>, [nx, ny, nz]: [usize; 3], margin: i32) -> Self {
-        let ((i, x), (j, y), (k, z)) = (along(p.x, nx, margin), along(p.y, ny, margin), along(p.z, nz, margin));
-        Self { base: flat(i, j, k, [nx, ny, nz]), f: Vec3x8 { x, y, z } }
+        let ((i, x), (j, y), (k, z)) = (
+            along(p.x, nx, margin),
+            along(p.y, ny, margin),
+            along(p.z, nz, margin),
+        );
+        Self {
+            base: flat(i, j, k, [nx, ny, nz]),
+            f: Vec3x8 { x, y, z },
+        }
     }
 }
 
@@ -57,7 +64,10 @@ impl Strides {
     #[inline(always)]
     pub fn of([nx, ny, _]: [usize; 3]) -> Self {
         let up = nx & Self::MAX_POINTS_PER_SLICE;
-        Self { up, on: up + ((nx * (ny - 1)) & Self::MAX_POINTS_PER_SLICE) }
+        Self {
+            up,
+            on: up + ((nx * (ny - 1)) & Self::MAX_POINTS_PER_SLICE),
+        }
     }
 
     /// The points of a grid around a cell, from the one before its lowest corner along every axis
@@ -157,7 +167,10 @@ impl Texel for Vec3 {
 impl Texel for Vec4 {
     #[inline(always)]
     fn pair<S: Simd>(simd: S, [low, high]: [Self; 2]) -> f32x8<S> {
-        simd.combine_f32x4(f32x4::load_array(simd, low.to_array()), f32x4::load_array(simd, high.to_array()))
+        simd.combine_f32x4(
+            f32x4::load_array(simd, low.to_array()),
+            f32x4::load_array(simd, high.to_array()),
+        )
     }
 }
 
@@ -205,7 +218,12 @@ pub fn across(texels: &[Vec4], [nx, ny, nz]: [usize; 3], y: f32, z: f32) -> Vec<
     let row = |j: usize, k: usize| &texels[(k * ny + j) * nx..][..nx];
     let rows = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
     let mut line = vec![Vec4::ZERO; nx];
-    with_simd(Across { rows, y, z, line: &mut line });
+    with_simd(Across {
+        rows,
+        y,
+        z,
+        line: &mut line,
+    });
     line
 }
 
@@ -225,8 +243,14 @@ impl SimdKernel for Across<'_> {
         let [a, b, c, d] = self.rows;
         let (y, z) = (f32x4::splat(simd, self.y), f32x4::splat(simd, self.z));
         for (to, (((a, b), c), d)) in self.line.iter_mut().zip(a.iter().zip(b).zip(c).zip(d)) {
-            let (a, b) = (f32x4::load_array(simd, a.to_array()), f32x4::load_array(simd, b.to_array()));
-            let (c, d) = (f32x4::load_array(simd, c.to_array()), f32x4::load_array(simd, d.to_array()));
+            let (a, b) = (
+                f32x4::load_array(simd, a.to_array()),
+                f32x4::load_array(simd, b.to_array()),
+            );
+            let (c, d) = (
+                f32x4::load_array(simd, c.to_array()),
+                f32x4::load_array(simd, d.to_array()),
+            );
             let (near, far) = ((b - a).mul_add(y, a), (d - c).mul_add(y, c));
             *to = (far - near).mul_add(z, near).to_array().into();
         }
@@ -236,7 +260,12 @@ impl SimdKernel for Across<'_> {
 /// The first three components of [`mix_texels`] as vectors, and their derivatives along the three
 /// axes, per cell.
 #[inline(always)]
-pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> (Vec3x8<S>, [Vec3x8<S>; 3]) {
+pub fn mix_with_slopes<S: Simd, T: Texel>(
+    simd: S,
+    texels: &[T],
+    size: [usize; 3],
+    cells: &Cells<S>,
+) -> (Vec3x8<S>, [Vec3x8<S>; 3]) {
     let strides = Strides::of(size);
     let Strides { up, on } = strides;
     let mut value = [[0.0; 4]; LANES];
@@ -259,13 +288,21 @@ pub fn mix_with_slopes<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3
         let (low, high) = simd.split_f32x8(along_z);
         dz[n] = *((high - low).mul_add(x, low));
     }
-    (vectors(simd, &value), [vectors(simd, &dx), vectors(simd, &dy), vectors(simd, &dz)])
+    (
+        vectors(simd, &value),
+        [vectors(simd, &dx), vectors(simd, &dy), vectors(simd, &dz)],
+    )
 }
 
 /// [`mix_texels`], and the central differences f(+1) - f(-1) along the three axes: those at the
 /// cells' corners, interpolated as the values are. Every cell must have a texel on every side.
 #[inline(always)]
-pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usize; 3], cells: &Cells<S>) -> [Vec4x8<S>; 4] {
+pub fn mix_with_differences<S: Simd, T: Texel>(
+    simd: S,
+    texels: &[T],
+    size: [usize; 3],
+    cells: &Cells<S>,
+) -> [Vec4x8<S>; 4] {
     let strides = Strides::of(size);
     let Strides { up, on } = strides;
     let a = on + up + 1;
@@ -276,7 +313,12 @@ pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usi
         let texels = strides.around(texels, cells.base[n]);
         let (y, z) = (f32x8::splat(simd, cells.f.y[n]), f32x8::splat(simd, cells.f.z[n]));
         let x = f32x4::splat(simd, cells.f.x[n]);
-        let corners = [T::pair_at(simd, texels, a), T::pair_at(simd, texels, b), T::pair_at(simd, texels, c), T::pair_at(simd, texels, d)];
+        let corners = [
+            T::pair_at(simd, texels, a),
+            T::pair_at(simd, texels, b),
+            T::pair_at(simd, texels, c),
+            T::pair_at(simd, texels, d),
+        ];
         value[n] = mix_cell(simd, corners, x, y, z);
         let across = [
             T::pair_at(simd, texels, a + 1) - T::pair_at(simd, texels, on + up),
@@ -300,12 +342,23 @@ pub fn mix_with_differences<S: Simd, T: Texel>(simd: S, texels: &[T], size: [usi
         ];
         dz[n] = mix_cell(simd, onwards, x, y, z);
     }
-    [columns(simd, &value), columns(simd, &dx), columns(simd, &dy), columns(simd, &dz)]
+    [
+        columns(simd, &value),
+        columns(simd, &dx),
+        columns(simd, &dy),
+        columns(simd, &dz),
+    ]
 }
 
 /// Interpolates one cell, whose corners fill registers in pairs.
 #[inline(always)]
-fn mix_cell<S: Simd>(simd: S, [a, b, c, d]: [f32x8<S>; 4], x: f32x4<S>, y: f32x8<S>, z: f32x8<S>) -> [f32; 4] {
+fn mix_cell<S: Simd>(
+    simd: S,
+    [a, b, c, d]: [f32x8<S>; 4],
+    x: f32x4<S>,
+    y: f32x8<S>,
+    z: f32x8<S>,
+) -> [f32; 4] {
     let (low, high) = simd.split_f32x8(mix(mix(a, b, y), mix(c, d, y), z));
     *((high - low).mul_add(x, low))
 }
@@ -322,14 +375,29 @@ fn vectors<S: Simd>(simd: S, rows: &[[f32; 4]; LANES]) -> Vec3x8<S> {
 pub fn columns<S: Simd>(simd: S, rows: &[[f32; 4]; LANES]) -> [f32x8<S>; 4] {
     let [a0, a1, a2, a3] = columns_of_four(simd, [rows[0], rows[1], rows[2], rows[3]]);
     let [b0, b1, b2, b3] = columns_of_four(simd, [rows[4], rows[5], rows[6], rows[7]]);
-    [simd.combine_f32x4(a0, b0), simd.combine_f32x4(a1, b1), simd.combine_f32x4(a2, b2), simd.combine_f32x4(a3, b3)]
+    [
+        simd.combine_f32x4(a0, b0),
+        simd.combine_f32x4(a1, b1),
+        simd.combine_f32x4(a2, b2),
+        simd.combine_f32x4(a3, b3),
+    ]
 }
 
 /// The columns of a matrix of four rows.
 #[inline(always)]
 fn columns_of_four<S: Simd>(simd: S, [a, b, c, d]: [[f32; 4]; 4]) -> [f32x4<S>; 4] {
-    let (a, b, c, d) = (f32x4::load_array(simd, a), f32x4::load_array(simd, b), f32x4::load_array(simd, c), f32x4::load_array(simd, d));
+    let (a, b, c, d) = (
+        f32x4::load_array(simd, a),
+        f32x4::load_array(simd, b),
+        f32x4::load_array(simd, c),
+        f32x4::load_array(simd, d),
+    );
     let (ac, ac_high) = (simd.zip_low_f32x4(a, c), simd.zip_high_f32x4(a, c));
     let (bd, bd_high) = (simd.zip_low_f32x4(b, d), simd.zip_high_f32x4(b, d));
-    [simd.zip_low_f32x4(ac, bd), simd.zip_high_f32x4(ac, bd), simd.zip_low_f32x4(ac_high, bd_high), simd.zip_high_f32x4(ac_high, bd_high)]
+    [
+        simd.zip_low_f32x4(ac, bd),
+        simd.zip_high_f32x4(ac, bd),
+        simd.zip_low_f32x4(ac_high, bd_high),
+        simd.zip_high_f32x4(ac_high, bd_high),
+    ]
 }

@@ -16,12 +16,15 @@ pub fn squared_distance(set: &Array3<bool>, spacing: [f32; 3]) -> Array3<f32> {
     let mut d = set.mapv(|inside| if inside { 0.0 } else { f32::INFINITY });
     for (axis, spacing) in [2, 1, 0].into_iter().zip(spacing) {
         let scratch = || (Envelope::default(), Vec::new());
-        Zip::from(d.lanes_mut(Axis(axis))).into_par_iter().for_each_init(scratch, |(envelope, line), (mut lane,)| {
-            line.clear();
-            line.extend(lane.iter());
-            envelope.transform(line, spacing);
-            lane.iter_mut().zip(&*line).for_each(|(to, value)| *to = *value);
-        });
+        Zip::from(d.lanes_mut(Axis(axis))).into_par_iter().for_each_init(
+            scratch,
+            |(envelope, line), (mut lane,)| {
+                line.clear();
+                line.extend(lane.iter());
+                envelope.transform(line, spacing);
+                lane.iter_mut().zip(&*line).for_each(|(to, value)| *to = *value);
+            },
+        );
     }
     d
 }

@@ -23,7 +23,12 @@ impl DistanceGrid {
     /// A grid of distances; `world_from_grid` must be invertible.
     pub fn new(distance_mm: Array3<f32>, world_from_grid: Affine3A) -> Self {
         let distance_mm = distance_mm.as_standard_layout().into_owned();
-        Self { size: size(&distance_mm), distance_mm, world_from_grid, grid_from_world: world_from_grid.inverse() }
+        Self {
+            size: size(&distance_mm),
+            distance_mm,
+            world_from_grid,
+            grid_from_world: world_from_grid.inverse(),
+        }
     }
 
     /// Signed distance at a world point, mm. Outside the grid it is bounded by the value at the
@@ -33,15 +38,26 @@ impl DistanceGrid {
         let p = self.grid_from_world.transform_point3(world);
         let top = Vec3::from(self.size.map(|n| (n - 1) as f32));
         let nearest = p.clamp(Vec3::ZERO, top);
-        let beyond = if nearest == p { 0.0 } else { Mat3::from(self.world_from_grid.matrix3).mul_vec3(p - nearest).length() };
+        let beyond = if nearest == p {
+            0.0
+        } else {
+            Mat3::from(self.world_from_grid.matrix3)
+                .mul_vec3(p - nearest)
+                .length()
+        };
         let f = trilinear(flat(&self.distance_mm), self.size, p);
-        if beyond > 0.0 { if f < 0.0 { -f.hypot(beyond) } else { f - beyond } } else { f }
+        if beyond > 0.0 {
+            if f < 0.0 { -f.hypot(beyond) } else { f - beyond }
+        } else {
+            f
+        }
     }
 
     /// Gradient at a world point by central differences over `step_mm`: approximately a unit vector
     /// into the region.
     pub fn gradient(&self, world: Vec3, step_mm: f32) -> Vec3 {
-        let d = |e: Vec3| (self.sample(world + e * step_mm) - self.sample(world - e * step_mm)) / (2.0 * step_mm);
+        let d =
+            |e: Vec3| (self.sample(world + e * step_mm) - self.sample(world - e * step_mm)) / (2.0 * step_mm);
         Vec3::new(d(Vec3::X), d(Vec3::Y), d(Vec3::Z))
     }
 
@@ -55,7 +71,10 @@ impl DistanceGrid {
         for ((k, j, i), d) in self.distance_mm.indexed_iter_mut() {
             let at = [i, j, k];
             // One or two slices have no interior between their faces.
-            let to_face = (0..3).filter(|a| size[*a] > 2).map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a]).fold(f32::INFINITY, f32::min);
+            let to_face = (0..3)
+                .filter(|a| size[*a] > 2)
+                .map(|a| at[a].min(size[a] - 1 - at[a]) as f32 * between[a])
+                .fold(f32::INFINITY, f32::min);
             *d = d.min(to_face);
         }
         self

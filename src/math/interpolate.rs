@@ -4,7 +4,11 @@ use std::ops::{Add, Mul, Sub};
 
 /// The value at grid coordinates `p` (points at integers, first axis fastest), clamped to the grid.
 #[inline(always)]
-pub fn trilinear<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>>(values: &[T], size: [usize; 3], p: glam::Vec3) -> T {
+pub fn trilinear<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>>(
+    values: &[T],
+    size: [usize; 3],
+    p: glam::Vec3,
+) -> T {
     let [nx, ny, nz] = size;
     let top = glam::Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32);
     let p = p.clamp(glam::Vec3::ZERO, top);
@@ -17,6 +21,12 @@ pub fn trilinear<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output =
     let base = (k * ny + j) * nx + i;
     let mix = |a: T, b: T, t: f32| a + (b - a) * t;
     // In the order of `cells::mix_texels`, so that eight points at once give the same bits.
-    let face = |at: usize| mix(mix(values[at], values[at + dj], f.y), mix(values[at + dk], values[at + dk + dj], f.y), f.z);
+    let face = |at: usize| {
+        mix(
+            mix(values[at], values[at + dj], f.y),
+            mix(values[at + dk], values[at + dk + dj], f.y),
+            f.z,
+        )
+    };
     mix(face(base), face(base + di), f.x)
 }

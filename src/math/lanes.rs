@@ -95,7 +95,11 @@ impl<S: Simd> Vec3x8<S> {
     /// One vector in all lanes.
     #[inline(always)]
     pub fn splat(simd: S, v: Vec3) -> Self {
-        Self { x: f32x8::splat(simd, v.x), y: f32x8::splat(simd, v.y), z: f32x8::splat(simd, v.z) }
+        Self {
+            x: f32x8::splat(simd, v.x),
+            y: f32x8::splat(simd, v.y),
+            z: f32x8::splat(simd, v.z),
+        }
     }
 
     /// A vector for every lane.
@@ -105,7 +109,11 @@ impl<S: Simd> Vec3x8<S> {
         for (n, v) in v.iter().enumerate() {
             (all[0][n], all[1][n], all[2][n]) = (v.x, v.y, v.z);
         }
-        Self { x: f32x8::load_array(simd, all[0]), y: f32x8::load_array(simd, all[1]), z: f32x8::load_array(simd, all[2]) }
+        Self {
+            x: f32x8::load_array(simd, all[0]),
+            y: f32x8::load_array(simd, all[1]),
+            z: f32x8::load_array(simd, all[2]),
+        }
     }
 
     /// The vector of a lane.
@@ -129,7 +137,11 @@ impl<S: Simd> Vec3x8<S> {
     /// Vector products.
     #[inline(always)]
     pub fn cross(self, v: Self) -> Self {
-        Self { x: self.y * v.z - self.z * v.y, y: self.z * v.x - self.x * v.z, z: self.x * v.y - self.y * v.x }
+        Self {
+            x: self.y * v.z - self.z * v.y,
+            y: self.z * v.x - self.x * v.z,
+            z: self.x * v.y - self.y * v.x,
+        }
     }
 
     /// Lengths.
@@ -145,19 +157,32 @@ impl<S: Simd> Vec3x8<S> {
         let usable = squared.simd_gt(1e-30) & squared.simd_lt(f32::INFINITY);
         let zero = f32x8::splat(squared.token(), 0.0);
         let factor = usable.select(f32x8::splat(squared.token(), 1.0) / squared.sqrt(), zero);
-        Self { x: usable.select(self.x, zero), y: usable.select(self.y, zero), z: usable.select(self.z, zero) } * factor
+        Self {
+            x: usable.select(self.x, zero),
+            y: usable.select(self.y, zero),
+            z: usable.select(self.z, zero),
+        } * factor
     }
 
     /// The first where the mask is set, else the second.
     #[inline(always)]
     pub fn select(mask: mask32x8<S>, yes: Self, no: Self) -> Self {
-        Self { x: mask.select(yes.x, no.x), y: mask.select(yes.y, no.y), z: mask.select(yes.z, no.z) }
+        Self {
+            x: mask.select(yes.x, no.x),
+            y: mask.select(yes.y, no.y),
+            z: mask.select(yes.z, no.z),
+        }
     }
 
     /// Points under one transform, by the order of operations of glam's `transform_point3`.
     #[inline(always)]
     pub fn transformed(self, m: &Affine3A) -> Self {
-        let [x, y, z, t] = [Vec3::from(m.matrix3.x_axis), m.matrix3.y_axis.into(), m.matrix3.z_axis.into(), m.translation.into()];
+        let [x, y, z, t] = [
+            Vec3::from(m.matrix3.x_axis),
+            m.matrix3.y_axis.into(),
+            m.matrix3.z_axis.into(),
+            m.translation.into(),
+        ];
         Self {
             x: self.x * x.x + self.y * y.x + self.z * z.x + t.x,
             y: self.x * x.y + self.y * y.y + self.z * z.y + t.y,
@@ -181,7 +206,11 @@ impl<S: Simd> Add for Vec3x8<S> {
     type Output = Self;
     #[inline(always)]
     fn add(self, v: Self) -> Self {
-        Self { x: self.x + v.x, y: self.y + v.y, z: self.z + v.z }
+        Self {
+            x: self.x + v.x,
+            y: self.y + v.y,
+            z: self.z + v.z,
+        }
     }
 }
 
@@ -189,7 +218,11 @@ impl<S: Simd> Sub for Vec3x8<S> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, v: Self) -> Self {
-        Self { x: self.x - v.x, y: self.y - v.y, z: self.z - v.z }
+        Self {
+            x: self.x - v.x,
+            y: self.y - v.y,
+            z: self.z - v.z,
+        }
     }
 }
 
@@ -197,7 +230,11 @@ impl<S: Simd> Mul<f32x8<S>> for Vec3x8<S> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, f: f32x8<S>) -> Self {
-        Self { x: self.x * f, y: self.y * f, z: self.z * f }
+        Self {
+            x: self.x * f,
+            y: self.y * f,
+            z: self.z * f,
+        }
     }
 }
 
@@ -205,7 +242,11 @@ impl<S: Simd> Neg for Vec3x8<S> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        Self { x: -self.x, y: -self.y, z: -self.z }
+        Self {
+            x: -self.x,
+            y: -self.y,
+            z: -self.z,
+        }
     }
 }
 
@@ -217,7 +258,14 @@ pub fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     let f = x - whole;
     // The series of e^(f ln 2) for |f| <= 1/2; the next term is below 6e-9.
     let mut p = f * 1.525_273_4e-5 + 1.540_353e-4;
-    for c in [1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 2.402_265e-1, 6.931_472e-1, 1.0] {
+    for c in [
+        1.333_355_8e-3,
+        9.618_129e-3,
+        5.550_411e-2,
+        2.402_265e-1,
+        6.931_472e-1,
+        1.0,
+    ] {
         p = p.mul_add(f, c);
     }
     let exponent: i32x8<S> = (whole.to_int::<i32x8<S>>() + 127) << 23;
@@ -288,13 +336,22 @@ mod tests {
     #[test]
     fn powers_and_logarithms() {
         for n in 0..4000 {
-            let x: [f32; LANES] = std::array::from_fn(|lane| (n as f32 - 2000.0) * 0.031 + lane as f32 * 0.003 + 1e-4);
+            let x: [f32; LANES] =
+                std::array::from_fn(|lane| (n as f32 - 2000.0) * 0.031 + lane as f32 * 0.003 + 1e-4);
             let (powers, logarithms) = with_simd(Functions(x));
             for lane in 0..LANES {
                 let (want, x) = (f64::from(x[lane]).exp2(), x[lane]);
-                assert!((f64::from(powers[lane]) / want - 1.0).abs() < 3e-7, "2^{x} is {want}, not {}", powers[lane]);
+                assert!(
+                    (f64::from(powers[lane]) / want - 1.0).abs() < 3e-7,
+                    "2^{x} is {want}, not {}",
+                    powers[lane]
+                );
                 let want = f64::from(x.abs()).log2();
-                assert!((f64::from(logarithms[lane]) - want).abs() <= 2.5e-7 * want.abs(), "log2 of {x} is {want}, not {}", logarithms[lane]);
+                assert!(
+                    (f64::from(logarithms[lane]) - want).abs() <= 2.5e-7 * want.abs(),
+                    "log2 of {x} is {want}, not {}",
+                    logarithms[lane]
+                );
             }
         }
         struct Powers([f32; LANES], u32);
@@ -309,13 +366,31 @@ mod tests {
         for n in [0u32, 1, 2, 3, 20, 24, 63, 64, 1023] {
             for (x, got) in cosines.into_iter().zip(with_simd(Powers(cosines, n))) {
                 let want = f64::from(x).powi(n as i32);
-                assert!((f64::from(got) - want).abs() <= 1e-6 * f64::from(n.max(1)) * want + 1e-37, "{x}^{n} is {want}, not {got}");
+                assert!(
+                    (f64::from(got) - want).abs() <= 1e-6 * f64::from(n.max(1)) * want + 1e-37,
+                    "{x}^{n} is {want}, not {got}"
+                );
             }
         }
         let near_one = std::array::from_fn(|lane| 1.0 - 1e-4 * (lane + 1) as f32);
         let (_, logarithms) = with_simd(Functions(near_one));
-        assert!((0..LANES).all(|n| (f64::from(logarithms[n]) / f64::from(near_one[n]).log2() - 1.0).abs() < 3e-7));
-        let (powers, _) = with_simd(Functions([f32::INFINITY, f32::NEG_INFINITY, 300.0, -300.0, 0.0, 1.0, -1.0, 10.0]));
-        assert!(powers[0] == 126f32.exp2() && powers[1] == (-126f32).exp2() && powers[4..] == [1.0, 2.0, 0.5, 1024.0]);
+        assert!(
+            (0..LANES).all(|n| (f64::from(logarithms[n]) / f64::from(near_one[n]).log2() - 1.0).abs() < 3e-7)
+        );
+        let (powers, _) = with_simd(Functions([
+            f32::INFINITY,
+            f32::NEG_INFINITY,
+            300.0,
+            -300.0,
+            0.0,
+            1.0,
+            -1.0,
+            10.0,
+        ]));
+        assert!(
+            powers[0] == 126f32.exp2()
+                && powers[1] == (-126f32).exp2()
+                && powers[4..] == [1.0, 2.0, 0.5, 1024.0]
+        );
     }
 }

@@ -35,7 +35,11 @@ impl LightNumber for f32 {
 
     #[inline(always)]
     fn highlight(facing: Self, cosine: Self, strength: f32, exponent: f32) -> Self {
-        if facing > 0.0 { strength * cosine.max(0.0).powf(exponent) } else { 0.0 }
+        if facing > 0.0 {
+            strength * cosine.max(0.0).powf(exponent)
+        } else {
+            0.0
+        }
     }
 }
 
@@ -74,6 +78,9 @@ impl BlinnPhong {
     /// between the normal and the light, `cosine` that between the normal and the half vector.
     #[inline(always)]
     pub fn shine<N: LightNumber>(&self, facing: N, cosine: N) -> (N, N) {
-        (facing.positive_times_plus(self.diffuse, self.ambient), N::highlight(facing, cosine, self.specular, self.shininess))
+        (
+            facing.positive_times_plus(self.diffuse, self.ambient),
+            N::highlight(facing, cosine, self.specular, self.shininess),
+        )
     }
 }

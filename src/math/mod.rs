@@ -29,7 +29,11 @@ pub fn to_f32(transform: &DAffine3) -> Affine3A {
 #[inline(always)]
 pub fn normalize_or(v: Vec3, fallback: Vec3) -> Vec3 {
     let length_squared = v.length_squared();
-    if length_squared > 1e-30 && length_squared < f32::INFINITY { v * length_squared.sqrt().recip() } else { fallback }
+    if length_squared > 1e-30 && length_squared < f32::INFINITY {
+        v * length_squared.sqrt().recip()
+    } else {
+        fallback
+    }
 }
 
 /// Hermite interpolation between `edge0` and `edge1`, as in WGSL.

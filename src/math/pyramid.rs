@@ -30,12 +30,18 @@ pub struct ChannelRange<const C: usize> {
 
 impl<const C: usize> ChannelRange<C> {
     /// The empty range.
-    pub const EMPTY: Self = Self { min: [f32::INFINITY; C], max: [f32::NEG_INFINITY; C] };
+    pub const EMPTY: Self = Self {
+        min: [f32::INFINITY; C],
+        max: [f32::NEG_INFINITY; C],
+    };
 
     /// Widens to include `value`.
     #[inline(always)]
     pub fn insert(&mut self, value: [f32; C]) {
-        self.merge(&Self { min: value, max: value });
+        self.merge(&Self {
+            min: value,
+            max: value,
+        });
     }
 
     /// Widens to include another range.
@@ -61,30 +67,40 @@ impl<const C: usize> MinMaxPyramid<C> {
 
     /// As [`Self::new`], from the ranges of runs along the first axis: `run(first, last, j, k)`,
     /// both ends included.
-    pub fn from_runs(size: [usize; 3], shift: u32, run: impl Fn(usize, usize, usize, usize) -> ChannelRange<C> + Sync) -> Self {
+    pub fn from_runs(
+        size: [usize; 3],
+        shift: u32,
+        run: impl Fn(usize, usize, usize, usize) -> ChannelRange<C> + Sync,
+    ) -> Self {
         use rayon::prelude::*;
         let edge = 1usize << shift;
         let nodes_along = |n: usize| (n.saturating_sub(1)).div_ceil(edge).max(1);
         let level_size = size.map(nodes_along);
         let [nx, ny, _] = level_size;
         let mut nodes = vec![ChannelRange::EMPTY; level_size.iter().product()];
-        nodes.par_chunks_mut(nx * ny).enumerate().for_each(|(layer, nodes)| {
-            for k in layer * edge..=((layer + 1) * edge).min(size[2] - 1) {
-                for j in 0..size[1] {
-                    // A row on the face between two nodes belongs to both.
-                    let upper = (j / edge).min(ny - 1);
-                    let shared = j % edge == 0 && j > 0 && upper * edge == j;
-                    for (i, at) in (0..nx).map(|i| (i * edge, upper * nx + i)) {
-                        let range = run(i, (i + edge).min(size[0] - 1), j, k);
-                        nodes[at].merge(&range);
-                        if shared {
-                            nodes[at - nx].merge(&range);
+        nodes
+            .par_chunks_mut(nx * ny)
+            .enumerate()
+            .for_each(|(layer, nodes)| {
+                for k in layer * edge..=((layer + 1) * edge).min(size[2] - 1) {
+                    for j in 0..size[1] {
+                        // A row on the face between two nodes belongs to both.
+                        let upper = (j / edge).min(ny - 1);
+                        let shared = j % edge == 0 && j > 0 && upper * edge == j;
+                        for (i, at) in (0..nx).map(|i| (i * edge, upper * nx + i)) {
+                            let range = run(i, (i + edge).min(size[0] - 1), j, k);
+                            nodes[at].merge(&range);
+                            if shared {
+                                nodes[at - nx].merge(&range);
+                            }
                         }
                     }
                 }
-            }
-        });
-        let mut levels = vec![PyramidLevel { size: level_size, nodes }];
+            });
+        let mut levels = vec![PyramidLevel {
+            size: level_size,
+            nodes,
+        }];
         while let Some(last) = levels.last().filter(|l| l.size != [1; 3]) {
             let above = last.size.map(|n| n.div_ceil(2));
             let mut nodes = vec![ChannelRange::EMPTY; above[0] * above[1] * above[2]];
@@ -143,7 +159,11 @@ impl<const C: usize> MinMaxPyramid<C> {
 
     /// The range of the whole grid.
     pub fn whole(&self) -> ChannelRange<C> {
-        self.levels.last().and_then(|l| l.nodes.first()).copied().unwrap_or(ChannelRange::EMPTY)
+        self.levels
+            .last()
+            .and_then(|l| l.nodes.first())
+            .copied()
+            .unwrap_or(ChannelRange::EMPTY)
     }
 }
 

@@ -9,7 +9,10 @@
 /// the unit of `spacing` and limited to `far`. Zero counts as positive; where no sign change is
 /// within reach the values become ±`far`.
 pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: f32) {
-    assert!(values.len() == size.iter().product::<usize>(), "value count and size disagree");
+    assert!(
+        values.len() == size.iter().product::<usize>(),
+        "value count and size disagree"
+    );
     let stride = [1, size[0], size[0] * size[1]];
     let mut distance = vec![far; values.len()];
     let mut near_surface = vec![false; values.len()];
@@ -21,8 +24,16 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
                 let n = i + j * stride[1] + k * stride[2];
                 let mut steepness = 0.0;
                 for a in 0..3 {
-                    let before = if at[a] > 0 { crossing(values[n], values[n - stride[a]]) } else { f32::INFINITY };
-                    let after = if at[a] + 1 < size[a] { crossing(values[n], values[n + stride[a]]) } else { f32::INFINITY };
+                    let before = if at[a] > 0 {
+                        crossing(values[n], values[n - stride[a]])
+                    } else {
+                        f32::INFINITY
+                    };
+                    let after = if at[a] + 1 < size[a] {
+                        crossing(values[n], values[n + stride[a]])
+                    } else {
+                        f32::INFINITY
+                    };
                     steepness += (spacing[a] * before.min(after)).powi(-2);
                 }
                 if steepness > 0.0 {
@@ -40,7 +51,14 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
         let first: [usize; 3] = std::array::from_fn(|a| low[a].saturating_sub(reach[a]));
         let count: [usize; 3] = std::array::from_fn(|a| (high[a] + reach[a] + 1).min(size[a]) - first[a]);
         for diagonal in 0..8usize {
-            let along = |a: usize, step: usize| first[a] + if (diagonal >> a) & 1 == 0 { step } else { count[a] - 1 - step };
+            let along = |a: usize, step: usize| {
+                first[a]
+                    + if (diagonal >> a) & 1 == 0 {
+                        step
+                    } else {
+                        count[a] - 1 - step
+                    }
+            };
             for k in 0..count[2] {
                 for j in 0..count[1] {
                     for i in 0..count[0] {
@@ -51,7 +69,11 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
                         }
                         let nearer: [f32; 3] = std::array::from_fn(|a| {
                             let before = if at[a] > 0 { distance[n - stride[a]] } else { far };
-                            let after = if at[a] + 1 < size[a] { distance[n + stride[a]] } else { far };
+                            let after = if at[a] + 1 < size[a] {
+                                distance[n + stride[a]]
+                            } else {
+                                far
+                            };
                             before.min(after)
                         });
                         if nearer.iter().any(|u| *u < distance[n]) {
@@ -70,7 +92,11 @@ pub fn redistance(values: &mut [f32], size: [usize; 3], spacing: [f32; 3], far: 
 /// Position of the sign change on the edge to a neighbour, as a fraction of the edge; infinite if
 /// there is none.
 fn crossing(own: f32, other: f32) -> f32 {
-    if (own < 0.0) == (other < 0.0) { f32::INFINITY } else { own.abs() / (own.abs() + other.abs()) }
+    if (own < 0.0) == (other < 0.0) {
+        f32::INFINITY
+    } else {
+        own.abs() / (own.abs() + other.abs())
+    }
 }
 
 /// u with |∇u| = 1 from the lower neighbour along each axis, by Godunov's upwind scheme: the sum of

@@ -78,8 +78,14 @@ pub struct MeshHit {
 impl TriangleBvh {
     /// Builds the hierarchy of a mesh.
     pub fn new(mesh: &Mesh) -> Self {
-        let mut order: Vec<(Vec3, u32)> = (0..mesh.triangles.len()).map(|t| (mesh.corners(t).iter().sum::<Vec3>() / 3.0, t as u32)).collect();
-        let mut tree = Self { nodes: Vec::with_capacity(2 * order.len() / LEAF + 1), corners: Vec::new(), index: Vec::new() };
+        let mut order: Vec<(Vec3, u32)> = (0..mesh.triangles.len())
+            .map(|t| (mesh.corners(t).iter().sum::<Vec3>() / 3.0, t as u32))
+            .collect();
+        let mut tree = Self {
+            nodes: Vec::with_capacity(2 * order.len() / LEAF + 1),
+            corners: Vec::new(),
+            index: Vec::new(),
+        };
         if !order.is_empty() {
             tree.build(mesh, &mut order);
         }
@@ -88,10 +94,18 @@ impl TriangleBvh {
 
     fn build(&mut self, mesh: &Mesh, order: &mut [(Vec3, u32)]) -> usize {
         let here = self.nodes.len();
-        let bounds = order.iter().flat_map(|o| mesh.corners(o.1 as usize)).fold(Bounds::EMPTY, |b, p| Bounds::new(b.min.min(p), b.max.max(p)));
+        let bounds = order
+            .iter()
+            .flat_map(|o| mesh.corners(o.1 as usize))
+            .fold(Bounds::EMPTY, |b, p| Bounds::new(b.min.min(p), b.max.max(p)));
         let dipole = Dipole::of(order.iter().map(|o| mesh.corners(o.1 as usize)));
         let leaf = order.len() <= LEAF;
-        self.nodes.push(BvhNode { bounds, start: self.corners.len() as u32, count: if leaf { order.len() as u32 } else { 0 }, dipole });
+        self.nodes.push(BvhNode {
+            bounds,
+            start: self.corners.len() as u32,
+            count: if leaf { order.len() as u32 } else { 0 },
+            dipole,
+        });
         if leaf {
             for (_, t) in order.iter() {
                 self.corners.push(mesh.corners(*t as usize));
@@ -99,9 +113,17 @@ impl TriangleBvh {
             }
             return here;
         }
-        let (low, high) = order.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), o| (l.min(o.0), h.max(o.0)));
+        let (low, high) = order
+            .iter()
+            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), o| {
+                (l.min(o.0), h.max(o.0))
+            });
         let extent = high - low;
-        let axis = if extent.x >= extent.y && extent.x >= extent.z { 0 } else { 1 + usize::from(extent.z > extent.y) };
+        let axis = if extent.x >= extent.y && extent.x >= extent.z {
+            0
+        } else {
+            1 + usize::from(extent.z > extent.y)
+        };
         let middle = order.len() / 2;
         order.select_nth_unstable_by(middle, |a, b| a.0[axis].total_cmp(&b.0[axis]));
         let (first, second) = order.split_at_mut(middle);
@@ -113,13 +135,27 @@ impl TriangleBvh {
 
     /// The nearest point of the mesh within `reach` of p.
     pub fn nearest(&self, p: Vec3, reach: f32) -> Option<Nearest> {
-        self.search(p, Nearest { squared: reach * reach, point: p, slot: u32::MAX })
+        self.search(
+            p,
+            Nearest {
+                squared: reach * reach,
+                point: p,
+                slot: u32::MAX,
+            },
+        )
     }
 
     /// As [`Self::nearest`], starting from the nearest triangle of a neighbouring point.
     pub fn nearest_from(&self, p: Vec3, guess: u32) -> Option<Nearest> {
         let point = nearest_on_triangle(p, &self.corners[guess as usize]);
-        self.search(p, Nearest { squared: p.distance_squared(point), point, slot: guess })
+        self.search(
+            p,
+            Nearest {
+                squared: p.distance_squared(point),
+                point,
+                slot: guess,
+            },
+        )
     }
 
     /// As [`Self::nearest_from`], but none if the mesh is farther than `reach`.
@@ -127,7 +163,14 @@ impl TriangleBvh {
         let point = nearest_on_triangle(p, &self.corners[guess as usize]);
         let squared = p.distance_squared(point);
         if squared < reach * reach {
-            return self.search(p, Nearest { squared, point, slot: guess });
+            return self.search(
+                p,
+                Nearest {
+                    squared,
+                    point,
+                    slot: guess,
+                },
+            );
         }
         self.nearest(p, reach)
     }
@@ -159,7 +202,11 @@ impl TriangleBvh {
             let (a, b) = (n + 1, node.start);
             let (da, db) = (away(a), away(b));
             // The nearer child is visited first: it is on top of the stack.
-            let [far, near] = if da < db { [(b, db), (a, da)] } else { [(a, da), (b, db)] };
+            let [far, near] = if da < db {
+                [(b, db), (a, da)]
+            } else {
+                [(a, da), (b, db)]
+            };
             if far.1 < best.squared {
                 stack[height] = far;
                 height += 1;
@@ -201,7 +248,14 @@ impl TriangleBvh {
     }
 
     /// The first triangle along a ray, between two parameters, that `accept` accepts.
-    pub fn ray(&self, origin: Vec3, direction: Vec3, near: f32, far: f32, accept: impl Fn(&MeshHit) -> bool) -> Option<MeshHit> {
+    pub fn ray(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        near: f32,
+        far: f32,
+        accept: impl Fn(&MeshHit) -> bool,
+    ) -> Option<MeshHit> {
         let mut best: Option<MeshHit> = None;
         self.all_along(origin, direction, near, far, SLACK, |hit, limit| {
             if accept(&hit) {
@@ -219,7 +273,15 @@ impl TriangleBvh {
         all
     }
 
-    fn all_along(&self, origin: Vec3, direction: Vec3, near: f32, mut far: f32, slack: f32, mut found: impl FnMut(MeshHit, &mut f32)) {
+    fn all_along(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        near: f32,
+        mut far: f32,
+        slack: f32,
+        mut found: impl FnMut(MeshHit, &mut f32),
+    ) {
         // Finite: infinity times the zero of a ray in a box's face would be NaN.
         let inverse = direction.recip().clamp(Vec3::splat(-1e30), Vec3::splat(1e30));
         let enters = |n: u32, far: f32| {
@@ -244,11 +306,20 @@ impl TriangleBvh {
             let node = &self.nodes[n as usize];
             if node.count > 0 {
                 for slot in node.start..node.start + node.count {
-                    if let Some((t, u, v, front)) = meet(origin, direction, &self.corners[slot as usize], slack)
+                    if let Some((t, u, v, front)) =
+                        meet(origin, direction, &self.corners[slot as usize], slack)
                         && t >= near
                         && t <= far
                     {
-                        found(MeshHit { t, triangle: self.index[slot as usize], barycentric: [u, v], front }, &mut far);
+                        found(
+                            MeshHit {
+                                t,
+                                triangle: self.index[slot as usize],
+                                barycentric: [u, v],
+                                front,
+                            },
+                            &mut far,
+                        );
                     }
                 }
                 continue;
@@ -284,9 +355,19 @@ impl Dipole {
             let n = (b - a).cross(c - a) * 0.5;
             let r = (a + b + c) / 3.0 - middle;
             moment += Mat3::from_cols(r * n.x, r * n.y, r * n.z);
-            radius = radius.max([a, b, c].map(|p| p.distance(middle)).into_iter().fold(0.0, f32::max));
+            radius = radius.max(
+                [a, b, c]
+                    .map(|p| p.distance(middle))
+                    .into_iter()
+                    .fold(0.0, f32::max),
+            );
         }
-        Self { middle, radius, area, moment }
+        Self {
+            middle,
+            radius,
+            area,
+            moment,
+        }
     }
 
     /// Σ of the group's solid angles; `away` leads from the point to the centre.
@@ -358,7 +439,8 @@ fn meet(origin: Vec3, direction: Vec3, &[a, b, c]: &[Vec3; 3], slack: f32) -> Op
     let u = s.dot(q) * inverse;
     let r = s.cross(ab);
     let v = direction.dot(r) * inverse;
-    (u >= -slack && v >= -slack && u + v <= 1.0 + slack).then(|| (ac.dot(r) * inverse, u, v, determinant > 0.0))
+    (u >= -slack && v >= -slack && u + v <= 1.0 + slack)
+        .then(|| (ac.dot(r) * inverse, u, v, determinant > 0.0))
 }
 
 #[cfg(test)]
@@ -368,9 +450,17 @@ mod tests {
 
     fn soup(seed: [f32; 3], n: usize) -> Mesh {
         // Small triangles scattered by irrational steps.
-        let at = |k: usize| Vec3::from([0.754_877, 0.569_84, 0.438_579].map(|s: f32| (k as f32 * s + seed[0]).fract())) * 10.0;
-        let positions = (0..3 * n).map(|k| at(k / 3) + (at(k * 7 + 1) - 5.0) * 0.1 * (1.0 + seed[1])).collect();
-        Mesh::new(positions, (0..n as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(), vec![])
+        let at = |k: usize| {
+            Vec3::from([0.754_877, 0.569_84, 0.438_579].map(|s: f32| (k as f32 * s + seed[0]).fract())) * 10.0
+        };
+        let positions = (0..3 * n)
+            .map(|k| at(k / 3) + (at(k * 7 + 1) - 5.0) * 0.1 * (1.0 + seed[1]))
+            .collect();
+        Mesh::new(
+            positions,
+            (0..n as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+            vec![],
+        )
     }
 
     proptest! {

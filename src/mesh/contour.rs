@@ -37,7 +37,10 @@ impl Planes {
     /// The planes perpendicular to a direction.
     pub fn across(normal: Vec3) -> Self {
         let (u, v) = normal.any_orthonormal_pair();
-        Self { normal, across: [u, v] }
+        Self {
+            normal,
+            across: [u, v],
+        }
     }
 
     fn flat(&self, p: Vec3) -> Vec2 {
@@ -63,10 +66,15 @@ pub fn sections(mesh: &Mesh, planes: &Planes, offsets: &[f32]) -> Vec<Vec<[Vec3;
         .zip(&crossed)
         .map(|(&offset, triangles)| {
             let loops = loops(mesh, &height, offset, triangles);
-            fill(&loops.iter().map(|l| l.iter().map(|p| planes.flat(*p)).collect()).collect::<Vec<Vec<Vec2>>>())
-                .into_iter()
-                .map(|t| t.map(|q| planes.across[0] * q.x + planes.across[1] * q.y + planes.normal * offset))
-                .collect()
+            fill(
+                &loops
+                    .iter()
+                    .map(|l| l.iter().map(|p| planes.flat(*p)).collect())
+                    .collect::<Vec<Vec<Vec2>>>(),
+            )
+            .into_iter()
+            .map(|t| t.map(|q| planes.across[0] * q.x + planes.across[1] * q.y + planes.normal * offset))
+            .collect()
         })
         .collect()
 }
@@ -76,7 +84,10 @@ fn loops(mesh: &Mesh, height: &[f32], offset: f32, triangles: &[u32]) -> Vec<Vec
     let above = |v: u32| height[v as usize] >= offset;
     let place = |(a, b): EdgeKey| {
         let (ha, hb) = (height[a as usize], height[b as usize]);
-        mesh.positions[a as usize].lerp(mesh.positions[b as usize], ((offset - ha) / (hb - ha)).clamp(0.0, 1.0))
+        mesh.positions[a as usize].lerp(
+            mesh.positions[b as usize],
+            ((offset - ha) / (hb - ha)).clamp(0.0, 1.0),
+        )
     };
     // From the edge where the contour enters a triangle to the one where it leaves: a consistent
     // direction around the mesh's inside.
@@ -136,12 +147,22 @@ fn fill(loops: &[Vec<Vec2>]) -> Vec<[Vec2; 3]> {
     }
     let mut buffers: VertexBuffers<Vec2, u32> = VertexBuffers::new();
     let options = FillOptions::tolerance(0.01).with_fill_rule(FillRule::EvenOdd);
-    let mut output = BuffersBuilder::new(&mut buffers, |v: FillVertex| Vec2::new(v.position().x, v.position().y) / scale + low);
+    let mut output = BuffersBuilder::new(&mut buffers, |v: FillVertex| {
+        Vec2::new(v.position().x, v.position().y) / scale + low
+    });
     // A degenerate section has no area to fill.
-    if loops.is_empty() || FillTessellator::new().tessellate_path(&path.build(), &options, &mut output).is_err() {
+    if loops.is_empty()
+        || FillTessellator::new()
+            .tessellate_path(&path.build(), &options, &mut output)
+            .is_err()
+    {
         return Vec::new();
     }
-    buffers.indices.chunks_exact(3).map(|t| [0, 1, 2].map(|c| buffers.vertices[t[c] as usize])).collect()
+    buffers
+        .indices
+        .chunks_exact(3)
+        .map(|t| [0, 1, 2].map(|c| buffers.vertices[t[c] as usize]))
+        .collect()
 }
 
 #[cfg(test)]
@@ -152,7 +173,10 @@ mod tests {
     use std::f32::consts::PI;
 
     fn area(triangles: &[[Vec3; 3]]) -> f32 {
-        triangles.iter().map(|[a, b, c]| (*b - *a).cross(*c - *a).length() / 2.0).sum()
+        triangles
+            .iter()
+            .map(|[a, b, c]| (*b - *a).cross(*c - *a).length() / 2.0)
+            .sum()
     }
 
     /// Concave, with a hole: a torus lying and standing. Several nested contours in a plane: a ball
@@ -165,7 +189,11 @@ mod tests {
             let w = (9.0 - z * z).sqrt();
             PI * ((10.0 + w).powi(2) - (10.0 - w).powi(2))
         };
-        assert!((area(&lying[0]) / ring(1.0) - 1.0).abs() < 3e-3 && (area(&lying[1]) / ring(0.0) - 1.0).abs() < 3e-3 && lying[2].is_empty());
+        assert!(
+            (area(&lying[0]) / ring(1.0) - 1.0).abs() < 3e-3
+                && (area(&lying[1]) / ring(0.0) - 1.0).abs() < 3e-3
+                && lying[2].is_empty()
+        );
         let standing = sections(&torus, &Planes::across(Vec3::X), &[0.0]);
         assert!((area(&standing[0]) / (2.0 * PI * 9.0) - 1.0).abs() < 3e-3);
         let mut nested = shapes::sphere(10.0, 64);
@@ -173,7 +201,9 @@ mod tests {
             let inner = shapes::sphere(r, 64);
             let first = nested.positions.len() as u32;
             nested.positions.extend(&inner.positions);
-            nested.triangles.extend(inner.triangles.iter().map(|t| t.map(|v| v + first)));
+            nested
+                .triangles
+                .extend(inner.triangles.iter().map(|t| t.map(|v| v + first)));
         }
         let nested = nested.transformed(&Affine3A::from_rotation_x(0.3));
         let cut = sections(&nested, &Planes::across(Vec3::Y), &[0.0]);

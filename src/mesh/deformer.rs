@@ -76,7 +76,15 @@ pub enum NormalMethod {
 /// Bernstein polynomials of degree 3 and their derivatives.
 fn bernstein(t: f32) -> ([f32; 4], [f32; 4]) {
     let s = 1.0 - t;
-    ([s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t], [-3.0 * s * s, 3.0 * s * s - 6.0 * s * t, 6.0 * s * t - 3.0 * t * t, 3.0 * t * t])
+    (
+        [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t],
+        [
+            -3.0 * s * s,
+            3.0 * s * s - 6.0 * s * t,
+            6.0 * s * t - 3.0 * t * t,
+            3.0 * t * t,
+        ],
+    )
 }
 
 impl Deformer {
@@ -90,7 +98,11 @@ impl Deformer {
             DeformerKind::Twist(rate) => {
                 let (s, c) = (rate * h).sin_cos();
                 let (x, y) = (c * p.x - s * p.y, s * p.x + c * p.y);
-                let j = Mat3::from_cols(Vec3::new(c, s, 0.0), Vec3::new(-s, c, 0.0), Vec3::new(-y * rate * dh, x * rate * dh, 1.0));
+                let j = Mat3::from_cols(
+                    Vec3::new(c, s, 0.0),
+                    Vec3::new(-s, c, 0.0),
+                    Vec3::new(-y * rate * dh, x * rate * dh, 1.0),
+                );
                 (Vec3::new(x, y, p.z), j)
             }
             DeformerKind::Bend(rate) => {
@@ -103,25 +115,53 @@ impl Deformer {
                 // continues straight.
                 let r = 1.0 / rate - p.x;
                 let q = Vec3::new(1.0 / rate - r * c + beyond * s, p.y, r * s + beyond * c);
-                let along = Vec3::new(r * rate * s * dh + s * (1.0 - dh), 0.0, r * rate * c * dh + c * (1.0 - dh));
+                let along = Vec3::new(
+                    r * rate * s * dh + s * (1.0 - dh),
+                    0.0,
+                    r * rate * c * dh + c * (1.0 - dh),
+                );
                 (q, Mat3::from_cols(Vec3::new(c, 0.0, -s), Vec3::Y, along))
             }
             DeformerKind::Taper(factor) => {
                 let slope = (factor - 1.0) / (2.0 * top);
                 let k = 1.0 + slope * (h + top);
-                (Vec3::new(k * p.x, k * p.y, p.z), Mat3::from_cols(Vec3::X * k, Vec3::Y * k, Vec3::new(slope * dh * p.x, slope * dh * p.y, 1.0)))
+                (
+                    Vec3::new(k * p.x, k * p.y, p.z),
+                    Mat3::from_cols(
+                        Vec3::X * k,
+                        Vec3::Y * k,
+                        Vec3::new(slope * dh * p.x, slope * dh * p.y, 1.0),
+                    ),
+                )
             }
-            DeformerKind::Shear(share) => (Vec3::new(p.x + share * h, p.y, p.z), Mat3::from_cols(Vec3::X, Vec3::Y, Vec3::new(share * dh, 0.0, 1.0))),
+            DeformerKind::Shear(share) => (
+                Vec3::new(p.x + share * h, p.y, p.z),
+                Mat3::from_cols(Vec3::X, Vec3::Y, Vec3::new(share * dh, 0.0, 1.0)),
+            ),
             DeformerKind::Bulge(amount, width) => {
                 let g = amount * (-(p.z / width).powi(2)).exp();
                 let (k, dk) = (1.0 + g, -2.0 * p.z / (width * width) * g);
-                (Vec3::new(k * p.x, k * p.y, p.z), Mat3::from_cols(Vec3::X * k, Vec3::Y * k, Vec3::new(dk * p.x, dk * p.y, 1.0)))
+                (
+                    Vec3::new(k * p.x, k * p.y, p.z),
+                    Mat3::from_cols(Vec3::X * k, Vec3::Y * k, Vec3::new(dk * p.x, dk * p.y, 1.0)),
+                )
             }
             DeformerKind::Wave(amplitude, frequency, phase) => {
                 let r = p.truncate().length();
                 let (s, c) = (frequency * r + phase).sin_cos();
-                let k = if r > 1e-12 { amplitude * frequency * c / r } else { 0.0 };
-                (Vec3::new(p.x, p.y, p.z + amplitude * s), Mat3::from_cols(Vec3::new(1.0, 0.0, k * p.x), Vec3::new(0.0, 1.0, k * p.y), Vec3::Z))
+                let k = if r > 1e-12 {
+                    amplitude * frequency * c / r
+                } else {
+                    0.0
+                };
+                (
+                    Vec3::new(p.x, p.y, p.z + amplitude * s),
+                    Mat3::from_cols(
+                        Vec3::new(1.0, 0.0, k * p.x),
+                        Vec3::new(0.0, 1.0, k * p.y),
+                        Vec3::Z,
+                    ),
+                )
             }
             DeformerKind::Lattice(offsets) => {
                 let t = ((p / self.half + 1.0) * 0.5).clamp(Vec3::ZERO, Vec3::ONE);
@@ -136,7 +176,10 @@ impl Deformer {
                     j[2] += *o * (bx[a] * by[b] * dz[c]);
                 }
                 let scale = |n: usize| if inside.test(n) { 0.5 / self.half[n] } else { 0.0 };
-                (p + moved, Mat3::IDENTITY + Mat3::from_cols(j[0] * scale(0), j[1] * scale(1), j[2] * scale(2)))
+                (
+                    p + moved,
+                    Mat3::IDENTITY + Mat3::from_cols(j[0] * scale(0), j[1] * scale(1), j[2] * scale(2)),
+                )
             }
         }
     }
@@ -147,7 +190,10 @@ impl Deformer {
         let linear = Mat3::from(self.local_from_world.matrix3);
         // The transform is rigid, hence the inverse of its linear part is its transpose.
         let back = linear.transpose();
-        (back * (q - Vec3::from(self.local_from_world.translation)), back * j * linear)
+        (
+            back * (q - Vec3::from(self.local_from_world.translation)),
+            back * j * linear,
+        )
     }
 }
 
@@ -163,13 +209,25 @@ pub fn apply_all(chain: &[Deformer], world: Vec3) -> (Vec3, Mat3) {
 /// with t × b = n.
 pub fn tangents(normal: Vec3) -> (Vec3, Vec3) {
     let (a, b) = (normal.cross(Vec3::Z), normal.cross(Vec3::Y));
-    let t = normalize_or(if a.length_squared() >= b.length_squared() { a } else { b }, Vec3::X);
+    let t = normalize_or(
+        if a.length_squared() >= b.length_squared() {
+            a
+        } else {
+            b
+        },
+        Vec3::X,
+    );
     (t, normal.cross(t))
 }
 
 /// Distance of the neighbouring points from a vertex for [`NormalMethod::Numeric`], mm.
 pub fn vertex_offset_mm(chain: &[Deformer]) -> f32 {
-    NUMERIC_STEP * chain.iter().map(|d| d.half.max_element()).fold(f32::INFINITY, f32::min).min(1e6)
+    NUMERIC_STEP
+        * chain
+            .iter()
+            .map(|d| d.half.max_element())
+            .fold(f32::INFINITY, f32::min)
+            .min(1e6)
 }
 
 /// A vertex and its unit normal under a chain of deformers. Where a deformer folds or flattens
@@ -179,7 +237,13 @@ pub fn deform_vertex(chain: &[Deformer], world: Vec3, normal: Vec3, method: Norm
     let (t, b) = tangents(normal);
     let turned = match method {
         // The cofactors of J are det J · J⁻ᵀ and need no division.
-        NormalMethod::InverseTranspose => Mat3::from_cols(j.y_axis.cross(j.z_axis), j.z_axis.cross(j.x_axis), j.x_axis.cross(j.y_axis)) * normal,
+        NormalMethod::InverseTranspose => {
+            Mat3::from_cols(
+                j.y_axis.cross(j.z_axis),
+                j.z_axis.cross(j.x_axis),
+                j.x_axis.cross(j.y_axis),
+            ) * normal
+        }
         NormalMethod::Tangent => (j * t).cross(j * b),
         NormalMethod::Numeric => {
             let beside = vertex_offset_mm(chain);
@@ -197,7 +261,11 @@ mod tests {
     /// The chapter's wave displaces y by the radius in x and z: z here is its y.
     fn wave() -> Deformer {
         let local_from_world = Affine3A::from_mat3(Mat3::from_cols(Vec3::X, Vec3::Z, Vec3::NEG_Y));
-        Deformer { deform: DeformerKind::Wave(1.0, 2.0, 0.0), local_from_world, half: Vec3::splat(10.0) }
+        Deformer {
+            deform: DeformerKind::Wave(1.0, 2.0, 0.0),
+            local_from_world,
+            half: Vec3::splat(10.0),
+        }
     }
 
     /// \[GG42\] 42.5, and [`crate::model`], "Normals".
@@ -207,7 +275,10 @@ mod tests {
         let (q, j) = wave().apply(p);
         assert!((q - Vec3::new(3.0, (10.0f32).sin(), 4.0)).length() < 1e-5);
         let cross = (j * Vec3::new(-1.0, 0.0, 1.0)).cross(j * Vec3::new(1.0, 0.0, 1.0));
-        assert!((cross - Vec3::new(2.013_772, 2.0, 2.685_029)).abs().max_element() < 1e-5, "{cross}");
+        assert!(
+            (cross - Vec3::new(2.013_772, 2.0, 2.685_029)).abs().max_element() < 1e-5,
+            "{cross}"
+        );
         let want = Vec3::new(0.515_426, 0.511_902, 0.687_235);
         for method in [NormalMethod::InverseTranspose, NormalMethod::Tangent] {
             let (_, n) = deform_vertex(&[wave()], p, Vec3::Y, method);
@@ -219,7 +290,9 @@ mod tests {
     }
 
     fn all() -> Vec<Deformer> {
-        let offsets = std::array::from_fn(|n| Vec3::new((n as f32).sin(), (n as f32 * 1.7).cos(), (n as f32 * 0.6).sin()) * 2.0);
+        let offsets = std::array::from_fn(|n| {
+            Vec3::new((n as f32).sin(), (n as f32 * 1.7).cos(), (n as f32 * 0.6).sin()) * 2.0
+        });
         let kinds = [
             DeformerKind::Twist(0.05),
             DeformerKind::Bend(0.04),
@@ -229,9 +302,16 @@ mod tests {
             DeformerKind::Wave(1.0, 0.5, 0.4),
             DeformerKind::Lattice(Box::new(offsets)),
         ];
-        let local_from_world =
-            Affine3A::from_rotation_x(0.4) * Affine3A::from_rotation_z(1.1) * Affine3A::from_translation(Vec3::new(1.0, 2.0, -3.0));
-        kinds.map(|deform| Deformer { deform, local_from_world, half: Vec3::new(9.0, 8.0, 10.0) }).to_vec()
+        let local_from_world = Affine3A::from_rotation_x(0.4)
+            * Affine3A::from_rotation_z(1.1)
+            * Affine3A::from_translation(Vec3::new(1.0, 2.0, -3.0));
+        kinds
+            .map(|deform| Deformer {
+                deform,
+                local_from_world,
+                half: Vec3::new(9.0, 8.0, 10.0),
+            })
+            .to_vec()
     }
 
     proptest! {

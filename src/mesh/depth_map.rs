@@ -47,12 +47,18 @@ impl DepthMaps {
                         let mut origin = if inward > 0.0 { bounds.min } else { bounds.max };
                         origin[u] = bounds.min[u] + (n % size) as f32 / (size - 1) as f32 * extent[u];
                         origin[v] = bounds.min[v] + (n / size) as f32 / (size - 1) as f32 * extent[v];
-                        tree.ray(origin, direction, 0.0, extent[axis], |_| true).map_or(extent[axis], |h| h.t)
+                        tree.ray(origin, direction, 0.0, extent[axis], |_| true)
+                            .map_or(extent[axis], |h| h.t)
                     })
                     .collect::<Vec<f32>>()
             })
             .collect();
-        Self { bounds, size, faces: faces.to_vec(), depth_mm }
+        Self {
+            bounds,
+            size,
+            faces: faces.to_vec(),
+            depth_mm,
+        }
     }
 
     /// f of map number n at a world point.
@@ -60,7 +66,11 @@ impl DepthMaps {
         let (axis, inward) = axis_of(self.faces[n]);
         let [u, v] = others(axis);
         let x = (world - self.bounds.min) / self.bounds.size();
-        let depth = if inward > 0.0 { world[axis] - self.bounds.min[axis] } else { self.bounds.max[axis] - world[axis] };
+        let depth = if inward > 0.0 {
+            world[axis] - self.bounds.min[axis]
+        } else {
+            self.bounds.max[axis] - world[axis]
+        };
         depth - self.fetch(n, Vec2::new(x[u], x[v]))
     }
 
@@ -68,7 +78,10 @@ impl DepthMaps {
     fn fetch(&self, n: usize, at: Vec2) -> f32 {
         let top = (self.size - 1) as f32;
         let p = (at * top).clamp(Vec2::ZERO, Vec2::splat(top));
-        let (i, j) = ((p.x as usize).min(self.size - 2), (p.y as usize).min(self.size - 2));
+        let (i, j) = (
+            (p.x as usize).min(self.size - 2),
+            (p.y as usize).min(self.size - 2),
+        );
         let (fx, fy) = (p.x - i as f32, p.y - j as f32);
         let h = |i: usize, j: usize| self.depth_mm[(n * self.size + j) * self.size + i];
         let row = |j: usize| h(i, j) + (h(i + 1, j) - h(i, j)) * fx;
@@ -78,7 +91,9 @@ impl DepthMaps {
     /// f at a world point, positive inside.
     pub fn value(&self, world: Vec3) -> f32 {
         let x = (world - self.bounds.min) / self.bounds.size();
-        let beyond = (self.bounds.min - world).max(world - self.bounds.max).max_element();
+        let beyond = (self.bounds.min - world)
+            .max(world - self.bounds.max)
+            .max_element();
         if beyond > 0.0 || !x.is_finite() {
             return -beyond.max(1e-3);
         }
@@ -117,14 +132,29 @@ mod tests {
         let mesh = sphere(10.0, 48);
         let (tree, bounds) = (TriangleBvh::new(&mesh), mesh.bounds().grown(2.0));
         let cube = DepthMaps::new(&tree, bounds, 129, &[0, 1, 2, 3, 4, 5]);
-        for p in [Vec3::new(3.0, 2.0, 1.0), Vec3::new(0.0, 9.0, 0.0), Vec3::new(-5.0, 5.0, -5.0)] {
-            assert!(cube.value(p) > 0.0 && cube.value(p.normalize() * 10.5) < 0.0, "{p}");
+        for p in [
+            Vec3::new(3.0, 2.0, 1.0),
+            Vec3::new(0.0, 9.0, 0.0),
+            Vec3::new(-5.0, 5.0, -5.0),
+        ] {
+            assert!(
+                cube.value(p) > 0.0 && cube.value(p.normalize() * 10.5) < 0.0,
+                "{p}"
+            );
         }
         // On an axis f is the distance itself.
         let along = cube.value(Vec3::new(7.0, 0.0, 0.0));
-        assert!((along - 3.0).abs() < 0.05, "{along}, by face {:?}", (0..6).map(|n| cube.height(n, Vec3::new(7.0, 0.0, 0.0))).collect::<Vec<_>>());
+        assert!(
+            (along - 3.0).abs() < 0.05,
+            "{along}, by face {:?}",
+            (0..6)
+                .map(|n| cube.height(n, Vec3::new(7.0, 0.0, 0.0)))
+                .collect::<Vec<_>>()
+        );
         let front = DepthMaps::new(&tree, bounds, 129, &[4]);
-        assert!(front.value(Vec3::new(0.0, 0.0, -10.5)) < 0.0 && front.value(Vec3::new(0.0, 0.0, 10.5)) > 0.0);
+        assert!(
+            front.value(Vec3::new(0.0, 0.0, -10.5)) < 0.0 && front.value(Vec3::new(0.0, 0.0, 10.5)) > 0.0
+        );
         assert_eq!((cube.bytes(), front.bytes()), (6 * 129 * 129 * 4, 129 * 129 * 4));
     }
 }

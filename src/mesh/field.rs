@@ -78,7 +78,13 @@ impl MeshField {
         let exact = settings.exact || settings.region.is_some();
         let (mut distance, mut nearest) = band(&tree, &lattice, exact, watch)?;
         if !exact {
-            sweep(&mut distance, &mut nearest, lattice.size, lattice.origin, Mat3::from_diagonal(Vec3::splat(lattice.cell)));
+            sweep(
+                &mut distance,
+                &mut nearest,
+                lattice.size,
+                lattice.origin,
+                Mat3::from_diagonal(Vec3::splat(lattice.cell)),
+            );
         }
         drop(nearest);
         let counts = if settings.parity {
@@ -91,14 +97,27 @@ impl MeshField {
         let eikonal = eikonal(&distance, &lattice);
         (watch.progress)(1.0);
         let grid = DistanceGrid::new(shaped(lattice.size, distance), lattice.world_from_grid());
-        Ok(Self { grid, topology, turned, windings: counts[0], doubtful: counts[1] as f64 / counts[0].max(1) as f64, inside, eikonal })
+        Ok(Self {
+            grid,
+            topology,
+            turned,
+            windings: counts[0],
+            doubtful: counts[1] as f64 / counts[0].max(1) as f64,
+            inside,
+            eikonal,
+        })
     }
 }
 
 const CANCELLED: &str = "was cancelled";
 
 /// Exact distances and nearest points near the surface, or everywhere; infinite elsewhere.
-fn band(tree: &TriangleBvh, lattice: &FieldLattice, exact: bool, watch: &Watch) -> Result<(Vec<f32>, Vec<Vec3>), String> {
+fn band(
+    tree: &TriangleBvh,
+    lattice: &FieldLattice,
+    exact: bool,
+    watch: &Watch,
+) -> Result<(Vec<f32>, Vec<Vec3>), String> {
     const EDGE: usize = 8;
     let [nx, ny, nz] = lattice.size;
     let reach = BAND * lattice.cell;
@@ -106,47 +125,75 @@ fn band(tree: &TriangleBvh, lattice: &FieldLattice, exact: bool, watch: &Watch) 
     let mut nearest = vec![Vec3::NAN; if exact { 0 } else { lattice.len() }];
     // Where no points are needed, empty slices take their place.
     let slab = nx * ny * EDGE;
-    let mut points: Vec<&mut [Vec3]> = if exact { (0..nz.div_ceil(EDGE)).map(|_| &mut [][..]).collect() } else { nearest.chunks_mut(slab).collect() };
+    let mut points: Vec<&mut [Vec3]> = if exact {
+        (0..nz.div_ceil(EDGE)).map(|_| &mut [][..]).collect()
+    } else {
+        nearest.chunks_mut(slab).collect()
+    };
     let done = AtomicUsize::new(0);
     let slabs = points.len();
-    distance.par_chunks_mut(slab).zip(points.par_iter_mut()).enumerate().for_each(|(s, (distance, points))| {
-        let k0 = s * EDGE;
-        let layers = distance.len() / (nx * ny);
-        for j0 in (0..ny).step_by(EDGE) {
-            if watch.is_cancelled() {
-                return;
-            }
-            for i0 in (0..nx).step_by(EDGE) {
-                let (i1, j1, k1) = ((i0 + EDGE).min(nx), (j0 + EDGE).min(ny), k0 + layers);
-                let (low, high) = (lattice.point(i0, j0, k0), lattice.point(i1 - 1, j1 - 1, k1 - 1));
-                let middle = (low + high) * 0.5;
-                let limit = if exact { f32::INFINITY } else { reach + middle.distance(high) };
-                let Some(mut last) = tree.nearest(middle, limit * 1.001) else { continue };
-                for k in k0..k1 {
-                    for j in j0..j1 {
-                        for i in i0..i1 {
-                            let p = lattice.point(i, j, k);
-                            let found = if exact { tree.nearest_from(p, last.slot) } else { tree.nearest_within(p, last.slot, reach) };
-                            let Some(found) = found else { continue };
-                            last = found;
-                            let n = ((k - k0) * ny + j) * nx + i;
-                            distance[n] = found.squared.sqrt();
-                            if !exact {
-                                points[n] = found.point;
+    distance
+        .par_chunks_mut(slab)
+        .zip(points.par_iter_mut())
+        .enumerate()
+        .for_each(|(s, (distance, points))| {
+            let k0 = s * EDGE;
+            let layers = distance.len() / (nx * ny);
+            for j0 in (0..ny).step_by(EDGE) {
+                if watch.is_cancelled() {
+                    return;
+                }
+                for i0 in (0..nx).step_by(EDGE) {
+                    let (i1, j1, k1) = ((i0 + EDGE).min(nx), (j0 + EDGE).min(ny), k0 + layers);
+                    let (low, high) = (lattice.point(i0, j0, k0), lattice.point(i1 - 1, j1 - 1, k1 - 1));
+                    let middle = (low + high) * 0.5;
+                    let limit = if exact {
+                        f32::INFINITY
+                    } else {
+                        reach + middle.distance(high)
+                    };
+                    let Some(mut last) = tree.nearest(middle, limit * 1.001) else {
+                        continue;
+                    };
+                    for k in k0..k1 {
+                        for j in j0..j1 {
+                            for i in i0..i1 {
+                                let p = lattice.point(i, j, k);
+                                let found = if exact {
+                                    tree.nearest_from(p, last.slot)
+                                } else {
+                                    tree.nearest_within(p, last.slot, reach)
+                                };
+                                let Some(found) = found else { continue };
+                                last = found;
+                                let n = ((k - k0) * ny + j) * nx + i;
+                                distance[n] = found.squared.sqrt();
+                                if !exact {
+                                    points[n] = found.point;
+                                }
                             }
                         }
                     }
                 }
             }
-        }
-        (watch.progress)(0.6 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
-    });
-    if watch.is_cancelled() { Err(CANCELLED.into()) } else { Ok((distance, nearest)) }
+            (watch.progress)(0.6 * (done.fetch_add(1, Ordering::Relaxed) + 1) as f32 / slabs as f32);
+        });
+    if watch.is_cancelled() {
+        Err(CANCELLED.into())
+    } else {
+        Ok((distance, nearest))
+    }
 }
 
 /// Gives the distances, positive on input, their sign; returns how many winding numbers were
 /// computed and how many were ambiguous.
-fn signs(tree: &TriangleBvh, lattice: &FieldLattice, watertight: bool, distance: &mut [f32], watch: &Watch) -> Result<[usize; 2], String> {
+fn signs(
+    tree: &TriangleBvh,
+    lattice: &FieldLattice,
+    watertight: bool,
+    distance: &mut [f32],
+    watch: &Watch,
+) -> Result<[usize; 2], String> {
     let [nx, ny, _] = lattice.size;
     let done = AtomicUsize::new(0);
     let slabs = lattice.size[2].div_ceil(BLOCK);
@@ -154,12 +201,22 @@ fn signs(tree: &TriangleBvh, lattice: &FieldLattice, watertight: bool, distance:
         .par_chunks_mut(nx * ny * BLOCK)
         .enumerate()
         .map(|(s, slab)| {
-            let mut signs = Signs { tree, lattice, watertight, k0: s * BLOCK, counts: [0; 2] };
+            let mut signs = Signs {
+                tree,
+                lattice,
+                watertight,
+                k0: s * BLOCK,
+                counts: [0; 2],
+            };
             let layers = slab.len() / (nx * ny);
             for j in (0..ny).step_by(BLOCK) {
                 for i in (0..nx).step_by(BLOCK) {
                     if !watch.is_cancelled() {
-                        signs.decide(slab, [i, j, s * BLOCK], [(i + BLOCK).min(nx), (j + BLOCK).min(ny), s * BLOCK + layers]);
+                        signs.decide(
+                            slab,
+                            [i, j, s * BLOCK],
+                            [(i + BLOCK).min(nx), (j + BLOCK).min(ny), s * BLOCK + layers],
+                        );
                     }
                 }
             }
@@ -167,7 +224,11 @@ fn signs(tree: &TriangleBvh, lattice: &FieldLattice, watertight: bool, distance:
             signs.counts
         })
         .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-    if watch.is_cancelled() { Err(CANCELLED.into()) } else { Ok(counts) }
+    if watch.is_cancelled() {
+        Err(CANCELLED.into())
+    } else {
+        Ok(counts)
+    }
 }
 
 /// Gives the distances their sign by counting crossings along each row.
@@ -177,7 +238,11 @@ fn parity(tree: &TriangleBvh, lattice: &FieldLattice, distance: &mut [f32]) {
         // Slightly offset: a line through an edge or a vertex meets two triangles there, or none.
         let aside = Vec3::new(-1.0, 0.0103, 0.0171) * lattice.cell;
         let origin = lattice.point(0, row % ny, row / ny) + aside;
-        let mut crossings: Vec<(f32, bool)> = tree.crossings(origin, Vec3::X, 0.0, f32::INFINITY).iter().map(|h| (h.t, h.front)).collect();
+        let mut crossings: Vec<(f32, bool)> = tree
+            .crossings(origin, Vec3::X, 0.0, f32::INFINITY)
+            .iter()
+            .map(|h| (h.t, h.front))
+            .collect();
         crossings.sort_by(|a, b| a.0.total_cmp(&b.0));
         // Both triangles of an edge that were hit count as one wall.
         crossings.dedup_by(|b, a| b.1 == a.1 && b.0 - a.0 <= 1e-4 * lattice.cell);
@@ -214,7 +279,11 @@ impl Signs<'_> {
         let edges: [usize; 3] = std::array::from_fn(|a| high[a] - low[a]);
         let middle: [usize; 3] = std::array::from_fn(|a| low[a] + edges[a] / 2);
         let single = edges == [1; 3];
-        let away = Vec3::from(std::array::from_fn(|a| (middle[a] - low[a]).max(high[a] - 1 - middle[a]) as f32)).length() * self.lattice.cell;
+        let away = Vec3::from(std::array::from_fn(|a| {
+            (middle[a] - low[a]).max(high[a] - 1 - middle[a]) as f32
+        }))
+        .length()
+            * self.lattice.cell;
         // Swept distances are slightly above the true ones.
         let free = single || slab[self.at(middle)].abs() * 0.97 - 0.5 * self.lattice.cell > away;
         if free {
@@ -224,7 +293,8 @@ impl Signs<'_> {
                 || self.watertight
                 || ((w - 0.5).abs() > DOUBT
                     && (0..8).all(|c| {
-                        let corner = std::array::from_fn(|a| if c >> a & 1 == 0 { low[a] } else { high[a] - 1 });
+                        let corner =
+                            std::array::from_fn(|a| if c >> a & 1 == 0 { low[a] } else { high[a] - 1 });
                         let w = self.winding(corner);
                         (w > 0.5) == inside && (w - 0.5).abs() > DOUBT
                     }));
@@ -290,9 +360,20 @@ mod tests {
 
     #[test]
     fn work_can_be_cancelled() {
-        let mesh = Mesh::new(vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z], vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], vec![]);
+        let mesh = Mesh::new(
+            vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z],
+            vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+            vec![],
+        );
         let cancel = std::sync::atomic::AtomicBool::new(true);
-        let result = MeshField::new(&mesh, &FieldSettings::default(), &Watch { progress: &|_| (), cancel: &cancel });
+        let result = MeshField::new(
+            &mesh,
+            &FieldSettings::default(),
+            &Watch {
+                progress: &|_| (),
+                cancel: &cancel,
+            },
+        );
         assert_eq!(result.err().as_deref(), Some(CANCELLED));
     }
 }

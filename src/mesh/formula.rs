@@ -131,7 +131,11 @@ impl Formula {
                 CsgOperation::Subtract => all,
             };
         }
-        if all.is_empty() || all.size().min_element() <= 0.0 { first.unwrap_or(all) } else { all }
+        if all.is_empty() || all.size().min_element() <= 0.0 {
+            first.unwrap_or(all)
+        } else {
+            all
+        }
     }
 }
 
@@ -167,7 +171,11 @@ mod tests {
 
     #[test]
     fn solids_join() {
-        let place = |solid, join, x: f32| PlacedSolid { solid, join, local_from_world: Affine3A::from_translation(Vec3::X * -x) };
+        let place = |solid, join, x: f32| PlacedSolid {
+            solid,
+            join,
+            local_from_world: Affine3A::from_translation(Vec3::X * -x),
+        };
         let f = Formula(vec![
             place(Solid::Sphere(10.0), CsgOperation::Union, 0.0),
             place(Solid::Sphere(10.0), CsgOperation::Union, 30.0),
@@ -176,6 +184,9 @@ mod tests {
         assert_eq!(f.distance(Vec3::ZERO), -5.0);
         assert_eq!(f.distance(Vec3::X * 30.0), 10.0);
         assert_eq!(f.distance(Vec3::X * 8.0), 2.0);
-        assert_eq!(f.bounds(), Bounds::new(Vec3::splat(-10.0), Vec3::new(40.0, 10.0, 10.0)));
+        assert_eq!(
+            f.bounds(),
+            Bounds::new(Vec3::splat(-10.0), Vec3::new(40.0, 10.0, 10.0))
+        );
     }
 }

@@ -31,13 +31,15 @@ impl Implicit {
 
     /// Gradient of f by central differences over `step_mm`.
     pub fn gradient(&self, world: Vec3, step_mm: f32) -> Vec3 {
-        Vec3::from(Vec3::AXES.map(|e| self.value(world + e * step_mm) - self.value(world - e * step_mm))) / (2.0 * step_mm)
+        Vec3::from(Vec3::AXES.map(|e| self.value(world + e * step_mm) - self.value(world - e * step_mm)))
+            / (2.0 * step_mm)
     }
 
     /// The bounding box of the solid, mm.
     pub fn bounds(&self) -> Bounds {
         match self {
-            Self::Grid(g) => Bounds::new(Vec3::ZERO, Vec3::from(g.size.map(|n| (n - 1) as f32))).transformed(&g.world_from_grid),
+            Self::Grid(g) => Bounds::new(Vec3::ZERO, Vec3::from(g.size.map(|n| (n - 1) as f32)))
+                .transformed(&g.world_from_grid),
             Self::Formula(f) => f.bounds(),
             Self::Depth(d) => d.bounds,
         }
@@ -48,7 +50,10 @@ impl Implicit {
         match self {
             Self::Grid(g) => g.spacing_mm(),
             Self::Formula(f) => {
-                let feature = f.0.iter().map(|s| s.solid.feature()).fold(f32::INFINITY, f32::min);
+                let feature =
+                    f.0.iter()
+                        .map(|s| s.solid.feature())
+                        .fold(f32::INFINITY, f32::min);
                 (f.bounds().size().max_element() / 128.0).min(feature / 4.0)
             }
             Self::Depth(d) => d.bounds.size().max_element() / d.size as f32,

@@ -59,7 +59,10 @@ impl Mesh {
         let finite = |t: &[u32; 3]| t.iter().all(|&v| positions[v as usize].is_finite());
         let used: Vec<[u32; 3]> = triangles.iter().copied().filter(finite).collect();
         if used.len() < triangles.len() {
-            warnings.push(format!("{} triangles with coordinates that are not finite were left out", triangles.len() - used.len()));
+            warnings.push(format!(
+                "{} triangles with coordinates that are not finite were left out",
+                triangles.len() - used.len()
+            ));
         }
         let mut bounds = Bounds::EMPTY;
         for p in used.iter().flatten().map(|&v| positions[v as usize]) {
@@ -91,7 +94,13 @@ impl Mesh {
             })
             .collect();
         let degenerate = all - triangles.len();
-        Self { positions: unique_points, triangles, warnings, degenerate, welded }
+        Self {
+            positions: unique_points,
+            triangles,
+            warnings,
+            degenerate,
+            welded,
+        }
     }
 
     /// The corners of a triangle.
@@ -102,20 +111,26 @@ impl Mesh {
 
     /// The box around all vertices.
     pub fn bounds(&self) -> Bounds {
-        self.positions.iter().fold(Bounds::EMPTY, |b, p| b.union(&Bounds::new(*p, *p)))
+        self.positions
+            .iter()
+            .fold(Bounds::EMPTY, |b, p| b.union(&Bounds::new(*p, *p)))
     }
 
     /// The signed volume between the triangles and the centre of the mesh's box: positive if they
     /// face outwards. For closed meshes this is their volume, wherever they lie.
     pub fn signed_volume(&self) -> f64 {
         let middle = self.bounds().center();
-        (0..self.triangles.len()).map(|t| volume_of(self.corners(t).map(|p| p - middle))).sum()
+        (0..self.triangles.len())
+            .map(|t| volume_of(self.corners(t).map(|p| p - middle)))
+            .sum()
     }
 
     /// The mesh under an affine transform; a reflection flips its triangles so that they still face
     /// outwards.
     pub fn transformed(mut self, transform: &Affine3A) -> Self {
-        self.positions.par_iter_mut().for_each(|p| *p = transform.transform_point3(*p));
+        self.positions
+            .par_iter_mut()
+            .for_each(|p| *p = transform.transform_point3(*p));
         if Mat3::from(transform.matrix3).determinant() < 0.0 {
             self.triangles.iter_mut().for_each(|t| t.swap(1, 2));
         }
@@ -153,7 +168,9 @@ impl Mesh {
             .map(|(t, triangle)| {
                 let own = faces[t];
                 triangle.map(|v| {
-                    let near = around[v as usize].iter().filter(|(o, _)| faces[*o as usize].dot(own) >= crease);
+                    let near = around[v as usize]
+                        .iter()
+                        .filter(|(o, _)| faces[*o as usize].dot(own) >= crease);
                     normalize_or(near.map(|&(o, angle)| faces[o as usize] * angle).sum(), own)
                 })
             })

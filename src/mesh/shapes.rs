@@ -24,16 +24,33 @@ pub fn torus(ring: f32, tube: f32, n: usize) -> Mesh {
 /// A box about the origin.
 pub fn cuboid(half: Vec3) -> Mesh {
     let corner = |n: u32| {
-        Vec3::new(if n & 1 == 0 { -half.x } else { half.x }, if n & 2 == 0 { -half.y } else { half.y }, if n & 4 == 0 { -half.z } else { half.z })
+        Vec3::new(
+            if n & 1 == 0 { -half.x } else { half.x },
+            if n & 2 == 0 { -half.y } else { half.y },
+            if n & 4 == 0 { -half.z } else { half.z },
+        )
     };
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+    let quads = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
+    let triangles = quads
+        .iter()
+        .flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]])
+        .collect();
     Mesh::new((0..8).map(corner).collect(), triangles, vec![])
 }
 
 /// A grid of n x m quads over u, v in 0..1; welding closes it.
 fn surface(n: usize, m: usize, at: impl Fn(f32, f32) -> Vec3) -> Mesh {
-    let positions = (0..=m).flat_map(|j| (0..=n).map(move |i| (i, j))).map(|(i, j)| at((i % n) as f32 / n as f32, j as f32 / m as f32)).collect();
+    let positions = (0..=m)
+        .flat_map(|j| (0..=n).map(move |i| (i, j)))
+        .map(|(i, j)| at((i % n) as f32 / n as f32, j as f32 / m as f32))
+        .collect();
     let index = |i: usize, j: usize| (j * (n + 1) + i) as u32;
     let quads = (0..m).flat_map(|j| (0..n).map(move |i| (i, j)));
     let triangles = quads
@@ -58,8 +75,15 @@ mod tests {
             (cuboid(Vec3::new(1.0, 2.0, 3.0)), 48.0),
         ] {
             let t = mesh.topology();
-            assert!(t.watertight && t.orientation() == "outward" && t.components == 1, "{t:?}");
-            assert!((t.volume / volume - 1.0).abs() < 5e-3, "{} for {volume}", t.volume);
+            assert!(
+                t.watertight && t.orientation() == "outward" && t.components == 1,
+                "{t:?}"
+            );
+            assert!(
+                (t.volume / volume - 1.0).abs() < 5e-3,
+                "{} for {volume}",
+                t.volume
+            );
         }
     }
 }

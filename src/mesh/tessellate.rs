@@ -17,10 +17,19 @@ impl Mesh {
     /// Refines the mesh until no tested point of an edge, moved by `deform`, is farther than
     /// `tolerance_mm` from the edge, up to `most` triangles. Also returns whether the tolerance was
     /// reached.
-    pub fn tessellated(mut self, deform: impl Fn(Vec3) -> Vec3 + Sync, tolerance_mm: f32, most: usize) -> (Self, bool) {
+    pub fn tessellated(
+        mut self,
+        deform: impl Fn(Vec3) -> Vec3 + Sync,
+        tolerance_mm: f32,
+        most: usize,
+    ) -> (Self, bool) {
         for _ in 0..ROUNDS {
-            let mut edges: Vec<(u32, u32)> =
-                self.triangles.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]).map(|(a, b)| (a.min(b), a.max(b))).collect();
+            let mut edges: Vec<(u32, u32)> = self
+                .triangles
+                .iter()
+                .flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])])
+                .map(|(a, b)| (a.min(b), a.max(b)))
+                .collect();
             edges.par_sort_unstable();
             edges.dedup();
             let positions = &self.positions;
@@ -30,7 +39,10 @@ impl Mesh {
                 .filter(|&(a, b)| {
                     let (a, b) = (a as usize, b as usize);
                     // A full turn does not move the midpoint.
-                    [0.25, 0.5, 0.75].iter().any(|&t| deform(positions[a].lerp(positions[b], t)).distance(moved[a].lerp(moved[b], t)) > tolerance_mm)
+                    [0.25, 0.5, 0.75].iter().any(|&t| {
+                        deform(positions[a].lerp(positions[b], t)).distance(moved[a].lerp(moved[b], t))
+                            > tolerance_mm
+                    })
                 })
                 .collect();
             if coarse.is_empty() {
@@ -42,7 +54,8 @@ impl Mesh {
             let mut middle: HashMap<(u32, u32), u32> = HashMap::with_capacity(coarse.len());
             for (a, b) in coarse {
                 middle.insert((a, b), self.positions.len() as u32);
-                self.positions.push((self.positions[a as usize] + self.positions[b as usize]) * 0.5);
+                self.positions
+                    .push((self.positions[a as usize] + self.positions[b as usize]) * 0.5);
             }
             let halved = |a: u32, b: u32| middle.get(&(a.min(b), a.max(b))).copied();
             self.triangles = self

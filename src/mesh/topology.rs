@@ -37,7 +37,12 @@ fn sorted_edges(mesh: &Mesh) -> Vec<Edge> {
         .flat_map(|(n, t)| {
             (0..3).map(move |c| {
                 let (a, b) = (t[c], t[(c + 1) % 3]);
-                Edge { low: a.min(b), high: a.max(b), upwards: a < b, triangle: n as u32 }
+                Edge {
+                    low: a.min(b),
+                    high: a.max(b),
+                    upwards: a < b,
+                    triangle: n as u32,
+                }
             })
         })
         .collect();
@@ -146,15 +151,25 @@ impl Mesh {
                 }
             }
             if contradicted {
-                let middle = patch.iter().map(|&t| self.corners(t)[0]).sum::<glam::Vec3>() / patch.len() as f32;
-                let volume: f64 = patch.iter().map(|&t| volume_of(self.corners(t).map(|p| p - middle)) * if turn[t] { -1.0 } else { 1.0 }).sum();
+                let middle =
+                    patch.iter().map(|&t| self.corners(t)[0]).sum::<glam::Vec3>() / patch.len() as f32;
+                let volume: f64 = patch
+                    .iter()
+                    .map(|&t| {
+                        volume_of(self.corners(t).map(|p| p - middle)) * if turn[t] { -1.0 } else { 1.0 }
+                    })
+                    .sum();
                 if volume < 0.0 {
                     patch.iter().for_each(|&t| turn[t] = !turn[t]);
                 }
             }
         }
         let apply = |mesh: &mut Self, turn: &dyn Fn(usize) -> bool| {
-            mesh.triangles.iter_mut().enumerate().filter(|(t, _)| turn(*t)).for_each(|(_, t)| t.swap(1, 2));
+            mesh.triangles
+                .iter_mut()
+                .enumerate()
+                .filter(|(t, _)| turn(*t))
+                .for_each(|(_, t)| t.swap(1, 2));
         };
         apply(&mut self, &|t| turn[t]);
         if self.signed_volume() < 0.0 {
@@ -179,7 +194,16 @@ mod tests {
     #[test]
     fn a_tetrahedron_is_closed_and_faces_outwards() {
         let t = tetrahedron().topology();
-        assert_eq!((t.components, t.open_edges, t.flipped_edges, t.watertight, t.orientation()), (1, 0, 0, true, "outward"));
+        assert_eq!(
+            (
+                t.components,
+                t.open_edges,
+                t.flipped_edges,
+                t.watertight,
+                t.orientation()
+            ),
+            (1, 0, 0, true, "outward")
+        );
         assert!((t.volume - 1.0 / 6.0).abs() < 1e-7);
     }
 
@@ -196,14 +220,33 @@ mod tests {
         assert_eq!(inward.oriented().1, 4);
         let mut open = tetrahedron();
         open.triangles.pop();
-        assert_eq!((open.topology().open_edges, open.topology().orientation()), (3, "open"));
+        assert_eq!(
+            (open.topology().open_edges, open.topology().orientation()),
+            (3, "open")
+        );
     }
 
     #[test]
     fn vertices_are_welded_and_empty_triangles_dropped() {
-        let p = vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::X, Vec3::Y, Vec3::ONE, Vec3::X * 0.5];
+        let p = vec![
+            Vec3::ZERO,
+            Vec3::X,
+            Vec3::Y,
+            Vec3::X,
+            Vec3::Y,
+            Vec3::ONE,
+            Vec3::X * 0.5,
+        ];
         let mesh = Mesh::new(p, vec![[0, 1, 2], [3, 5, 4], [0, 6, 1], [1, 3, 5]], vec![]);
-        assert_eq!((mesh.positions.len(), mesh.triangles.len(), mesh.welded, mesh.degenerate), (5, 2, 2, 2));
+        assert_eq!(
+            (
+                mesh.positions.len(),
+                mesh.triangles.len(),
+                mesh.welded,
+                mesh.degenerate
+            ),
+            (5, 2, 2, 2)
+        );
         assert_eq!(mesh.topology().components, 1);
     }
 }

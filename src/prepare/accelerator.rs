@@ -38,7 +38,12 @@ pub trait Accelerator {
     ///
     /// # Errors
     /// Any error of the device.
-    fn classify(&self, cells: &CellGrid, contents: &VisibilityCriteria, volume: &VoxelGrid) -> Result<Option<Vec<CellState>>> {
+    fn classify(
+        &self,
+        cells: &CellGrid,
+        contents: &VisibilityCriteria,
+        volume: &VoxelGrid,
+    ) -> Result<Option<Vec<CellState>>> {
         let _ = (cells, contents, volume);
         Ok(None)
     }

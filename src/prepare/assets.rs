@@ -100,16 +100,32 @@ impl Assets {
         let never = AtomicBool::new(false);
         let cancel = options.cancel.unwrap_or(&never);
         let report = |stage, share| options.progress.map_or((), |progress| progress(stage, share));
-        let source = scene.volume_path().zip(scene.volume.as_ref().map(|v| v.choice.clone()));
+        let source = scene
+            .volume_path()
+            .zip(scene.volume.as_ref().map(|v| v.choice.clone()));
         // The same file may be given relative to another folder.
-        let place = |s: &Option<(PathBuf, ReadOptions)>| s.as_ref().map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()));
-        let same_volume = options.previous.filter(|b| b.has_volume && source.is_some() && place(&b.source) == place(&source));
+        let place = |s: &Option<(PathBuf, ReadOptions)>| {
+            s.as_ref()
+                .map(|(path, choice)| (std::path::absolute(path).ok(), choice.clone()))
+        };
+        let same_volume = options
+            .previous
+            .filter(|b| b.has_volume && source.is_some() && place(&b.source) == place(&source));
         let mut assets = match (same_volume, &source) {
             (Some(previous), _) => Self::with_volume_of(previous, scene.folder.clone()),
             (None, Some((path, choice))) => {
                 let reading = |share: f32| report("reading", share);
                 let mut stages = StageTimes::default();
-                let volume = stages.time("load", || load::volume(path, choice, &Watch { progress: &reading, cancel }))?;
+                let volume = stages.time("load", || {
+                    load::volume(
+                        path,
+                        choice,
+                        &Watch {
+                            progress: &reading,
+                            cancel,
+                        },
+                    )
+                })?;
                 Self::in_folder(volume, scene.folder.clone(), stages)
             }
             (None, None) => Self::without_volume(scene.folder.clone()),
@@ -120,8 +136,13 @@ impl Assets {
             assets.separate_labels = Some(stages.time("labels", || assets.library.load_label_map(path))?);
         }
         if !scene.mesh.is_empty() || scene.render.mode == Mode::Surface {
-            assets.mesh_box =
-                stages.time("meshes", || assets.objects.load(scene, &assets.library, &assets.volume, &|share| report("computing", share)))?;
+            assets.mesh_box = stages.time("meshes", || {
+                assets
+                    .objects
+                    .load(scene, &assets.library, &assets.volume, &|share| {
+                        report("computing", share)
+                    })
+            })?;
         }
         if !assets.has_volume {
             let empty = Volume::empty_over(&assets.mesh_box);
@@ -142,25 +163,42 @@ impl Assets {
         let sampled = Arc::new(stages.time("bricks", || SampledVolume::new(grid)));
         let volume = Arc::new(volume);
         let library = Arc::new(Library::new(volume.clone(), folder));
-        Self { stages, ..Self::over(volume, sampled, library, true) }
+        Self {
+            stages,
+            ..Self::over(volume, sampled, library, true)
+        }
     }
 
     /// An empty volume serves as a placeholder.
     fn without_volume(folder: PathBuf) -> Self {
         let volume = Volume::empty_over(&Bounds::UNIT);
         let sampled = Arc::new(SampledVolume::new(VoxelGrid::new(&volume)));
-        Self::over(Arc::new(volume), sampled, Arc::new(Library::without_volume(folder)), false)
+        Self::over(
+            Arc::new(volume),
+            sampled,
+            Arc::new(Library::without_volume(folder)),
+            false,
+        )
     }
 
     /// The volume of other assets, with the inputs of its deformations if these are relative to the
     /// same folder.
     fn with_volume_of(previous: &Self, folder: PathBuf) -> Self {
         let same_folder = previous.library.folder() == folder;
-        let library = if same_folder { previous.library.clone() } else { Arc::new(Library::new(previous.volume.clone(), folder)) };
+        let library = if same_folder {
+            previous.library.clone()
+        } else {
+            Arc::new(Library::new(previous.volume.clone(), folder))
+        };
         Self::over(previous.volume.clone(), previous.sampled.clone(), library, true)
     }
 
-    fn over(volume: Arc<Volume>, sampled: Arc<SampledVolume>, library: Arc<Library>, has_volume: bool) -> Self {
+    fn over(
+        volume: Arc<Volume>,
+        sampled: Arc<SampledVolume>,
+        library: Arc<Library>,
+        has_volume: bool,
+    ) -> Self {
         Self {
             volume,
             sampled,
@@ -195,7 +233,10 @@ impl Assets {
         match &self.separate_labels {
             Some(map) => Ok(map),
             None if self.has_volume && self.sampled_labels().is_some() => Ok(&self.volume),
-            None => Err(Error::value("volume.labels", "there is no label map; set volume.labels, or add one in the workstation")),
+            None => Err(Error::value(
+                "volume.labels",
+                "there is no label map; set volume.labels, or add one in the workstation",
+            )),
         }
     }
 
@@ -211,6 +252,8 @@ impl Assets {
 
     /// The grid of a label map shown as colours; none if the volume is not a label map.
     pub(super) fn sampled_labels(&self) -> Option<&SampledVolume> {
-        self.sampled_labels.get_or_init(|| VoxelGrid::of_labels(&self.volume).map(SampledVolume::new)).as_ref()
+        self.sampled_labels
+            .get_or_init(|| VoxelGrid::of_labels(&self.volume).map(SampledVolume::new))
+            .as_ref()
     }
 }

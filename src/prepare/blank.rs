@@ -43,10 +43,22 @@ impl PointVisibility {
 impl Prepared<'_> {
     /// A picture of the scene with notices for the user: from the renderer, from resolving the
     /// scene, and why the picture is blank.
-    pub fn rendered(&self, picture: Picture, stats: Option<RenderStats>, stages: StageTimes, mut notices: Vec<String>) -> Rendered {
+    pub fn rendered(
+        &self,
+        picture: Picture,
+        stats: Option<RenderStats>,
+        stages: StageTimes,
+        mut notices: Vec<String>,
+    ) -> Rendered {
         let blank = self.why_blank(&picture);
         notices.extend(self.notices.iter().chain(&blank).cloned());
-        Rendered { picture, stats, stages, notices, blank }
+        Rendered {
+            picture,
+            stats,
+            stages,
+            notices,
+            blank,
+        }
     }
 
     /// Why a picture of the scene is blank, and the remedy; none if it is not blank.
@@ -62,7 +74,9 @@ impl Prepared<'_> {
             return Some(problem);
         }
         if shows_volume && self.volume().has_no_values && self.surfaces.objects.is_empty() {
-            return Some("the picture is empty: no voxel of the volume is a finite number; check the file".into());
+            return Some(
+                "the picture is empty: no voxel of the volume is a finite number; check the file".into(),
+            );
         }
         let found = self.search(shows_volume);
         let reason = if !found.visible_before && shows_volume {
@@ -74,8 +88,16 @@ impl Prepared<'_> {
         } else if !found.in_view {
             "nothing of the scene is in view; reset camera.target, or lower camera.zoom".to_owned()
         } else if shows_volume && self.volume().iso.is_none() {
-            let factors = if self.uses_gradient_opacity() { " and the factors of transfer.gradient_opacity" } else { "" };
-            let step = if self.settings.step > 1.0 { ", reduce render.step" } else { "" };
+            let factors = if self.uses_gradient_opacity() {
+                " and the factors of transfer.gradient_opacity"
+            } else {
+                ""
+            };
+            let step = if self.settings.step > 1.0 {
+                ", reduce render.step"
+            } else {
+                ""
+            };
             format!(
                 "everything in view is too transparent or too small to be seen; raise the opacity (transfer.density){factors}, adjust the window{step}, or zoom in"
             )
@@ -93,9 +115,16 @@ impl Prepared<'_> {
     /// The first surface, if every surface encloses nothing.
     fn surfaces_without_inside(&self) -> Option<String> {
         let empty = |o: &super::objects::SurfaceObject| {
-            o.triangles.is_none() && o.implicit.as_ref().is_some_and(|i| !points_over(&i.bounds()).any(|p| i.value(p) > 0.0))
+            o.triangles.is_none()
+                && o.implicit
+                    .as_ref()
+                    .is_some_and(|i| !points_over(&i.bounds()).any(|p| i.value(p) > 0.0))
         };
-        let first = self.surfaces.objects.first().filter(|_| self.surfaces.objects.iter().all(empty) && !self.shows_volume())?;
+        let first = self
+            .surfaces
+            .objects
+            .first()
+            .filter(|_| self.surfaces.objects.iter().all(empty) && !self.shows_volume())?;
         Some(format!(
             "the picture is empty: {} has no interior (a subtracted shape covers it, intersected shapes do not overlap, or the volume has no such value); change it",
             first.name
@@ -126,7 +155,11 @@ impl Prepared<'_> {
             let value = |source: Vec3| -> Option<f32> {
                 let v = self.volume().voxel_from_world.transform_point3(source);
                 let inside = v.cmpge(voxel_box.min).all() && v.cmple(voxel_box.max).all();
-                let [i, j, k] = v.round().clamp(Vec3::ZERO, self.volume().grid_size - 1.0).to_array().map(|c| c as usize);
+                let [i, j, k] = v
+                    .round()
+                    .clamp(Vec3::ZERO, self.volume().grid_size - 1.0)
+                    .to_array()
+                    .map(|c| c as usize);
                 inside.then(|| self.volume().grid.value(i, j, k))
             };
             let shows = |v: f32| match self.volume().iso {
@@ -135,15 +168,22 @@ impl Prepared<'_> {
             };
             // Every voxel counts for what could be visible at all: a thin sheet may lie between the
             // points.
-            let visible_before =
-                self.volume().iso.is_some_and(|iso| (0.0..=1.0).contains(&iso)) || self.volume().iso.is_none() && self.shows_any_value();
-            found = self.of_points(&self.stack.deformed_bounds(&undeformed), |source| value(source).map(shows));
+            let visible_before = self.volume().iso.is_some_and(|iso| (0.0..=1.0).contains(&iso))
+                || self.volume().iso.is_none() && self.shows_any_value();
+            found = self.of_points(&self.stack.deformed_bounds(&undeformed), |source| {
+                value(source).map(shows)
+            });
             found.visible_before = visible_before;
         }
         for object in &self.surfaces.objects {
             let inside = |source: Vec3| match (&object.implicit, &object.triangles) {
                 (Some(implicit), _) => (implicit.value(source) > -object.cell_mm).then_some(true),
-                (None, Some(t)) => Some(t.mesh.bounds().grown(object.cell_mm).contains(&Bounds::new(source, source))),
+                (None, Some(t)) => Some(
+                    t.mesh
+                        .bounds()
+                        .grown(object.cell_mm)
+                        .contains(&Bounds::new(source, source)),
+                ),
                 (None, None) => None,
             };
             let bounds = match (&object.implicit, &object.triangles) {
@@ -152,15 +192,20 @@ impl Prepared<'_> {
                 (None, None) => continue,
             };
             let more = if object.rigid || object.implicit.is_none() {
-                let all = points_over(&bounds).filter(|p| inside(*p) == Some(true)).map(|p| PointVisibility {
-                    left: true,
-                    visible: true,
-                    in_view: self.is_in_view(p),
-                    visible_before: true,
-                });
+                let all = points_over(&bounds)
+                    .filter(|p| inside(*p) == Some(true))
+                    .map(|p| PointVisibility {
+                        left: true,
+                        visible: true,
+                        in_view: self.is_in_view(p),
+                        visible_before: true,
+                    });
                 all.fold(PointVisibility::default(), PointVisibility::or)
             } else {
-                PointVisibility { visible_before: true, ..self.of_points(&self.stack.deformed_bounds(&bounds), inside) }
+                PointVisibility {
+                    visible_before: true,
+                    ..self.of_points(&self.stack.deformed_bounds(&bounds), inside)
+                }
             };
             found = found.or(more);
         }
@@ -171,13 +216,24 @@ impl Prepared<'_> {
     /// source point is visible, none where nothing is present.
     fn of_points(&self, deformed: &Bounds, shows: impl Fn(Vec3) -> Option<bool> + Sync) -> PointVisibility {
         let points: Vec<Vec3> = points_over(deformed).collect();
-        let deformation = StackAndCuts { stack: &self.stack, cuts: &self.cuts };
+        let deformation = StackAndCuts {
+            stack: &self.stack,
+            cuts: &self.cuts,
+        };
         let of_point = |p: &Vec3| {
             let shown = deformation.source(*p).and_then(&shows);
             let visible = shown == Some(true);
-            PointVisibility { visible_before: false, left: shown.is_some(), visible, in_view: visible && self.is_in_view(*p) }
+            PointVisibility {
+                visible_before: false,
+                left: shown.is_some(),
+                visible,
+                in_view: visible && self.is_in_view(*p),
+            }
         };
-        points.par_iter().map(of_point).reduce(PointVisibility::default, PointVisibility::or)
+        points
+            .par_iter()
+            .map(of_point)
+            .reduce(PointVisibility::default, PointVisibility::or)
     }
 
     /// Whether the transfer function shows any value that the volume has.
@@ -190,7 +246,11 @@ impl Prepared<'_> {
         let view = &self.frame.view;
         let d = p - view.eye;
         let depth = d.dot(view.forward);
-        let scale = if view.projection == Projection::Perspective { depth } else { 1.0 };
+        let scale = if view.projection == Projection::Perspective {
+            depth
+        } else {
+            1.0
+        };
         let across = [view.right, view.up].map(|axis| (d.dot(axis) / axis.length_squared() / scale).abs());
         (depth > 0.0 || view.projection == Projection::Orthographic) && across.iter().all(|a| *a <= 1.0)
     }
@@ -199,6 +259,12 @@ impl Prepared<'_> {
 /// Points of a grid over a box, without its faces.
 fn points_over(bounds: &Bounds) -> impl Iterator<Item = Vec3> + use<> {
     let (low, step) = (bounds.min, bounds.size() / POINTS as f32);
-    (0..POINTS * POINTS * POINTS)
-        .map(move |n| low + (Vec3::new((n % POINTS) as f32, (n / POINTS % POINTS) as f32, (n / (POINTS * POINTS)) as f32) + 0.5) * step)
+    (0..POINTS * POINTS * POINTS).map(move |n| {
+        low + (Vec3::new(
+            (n % POINTS) as f32,
+            (n / POINTS % POINTS) as f32,
+            (n / (POINTS * POINTS)) as f32,
+        ) + 0.5)
+            * step
+    })
 }

@@ -45,19 +45,39 @@ impl Deformed {
         Self::in_view(scene, assets, &view, &PrepareOptions::default().watched(watch))
     }
 
-    pub(super) fn in_view(scene: &Scene, assets: &Assets, view: &ViewFrame, options: &PrepareOptions) -> Result<Self> {
+    pub(super) fn in_view(
+        scene: &Scene,
+        assets: &Assets,
+        view: &ViewFrame,
+        options: &PrepareOptions,
+    ) -> Result<Self> {
         let settings = &scene.render;
         let reference_mm = assets.volume.spacing_mm().min_element() as f32;
         let min_ramp_mm = 1.2 * blend_mm(settings.step, reference_mm)[1];
-        let inputs = StackInputs { min_ramp_mm, exact_cuts: settings.exact_cuts, ..Self::inputs(assets, view, options.accelerator, &options.watch) };
+        let inputs = StackInputs {
+            min_ramp_mm,
+            exact_cuts: settings.exact_cuts,
+            ..Self::inputs(assets, view, options.accelerator, &options.watch)
+        };
         let undeformed = options.more_maps.is_empty() && !scene.deformation.iter().any(|d| d.enabled);
-        let (inside, proxy_mesh) = match inside::of_scene(scene, &assets.inside_meshes, &assets.library, &inputs.scene_box, min_ramp_mm)? {
+        let (inside, proxy_mesh) = match inside::of_scene(
+            scene,
+            &assets.inside_meshes,
+            &assets.library,
+            &inputs.scene_box,
+            min_ramp_mm,
+        )? {
             Some(inside) => (inside.maps.clone(), inside.proxy.clone().filter(|_| undeformed)),
             None => (Vec::new(), None),
         };
         let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, options.more_maps.to_vec())?;
         let (stack, composition) = stack::composed(stack, &inputs, settings.precompose)?;
-        Ok(Self { stack, cuts, composition, proxy_mesh })
+        Ok(Self {
+            stack,
+            cuts,
+            composition,
+            proxy_mesh,
+        })
     }
 
     /// The exact deformation, as used for baking: every map in single precision, none composed; the
@@ -69,21 +89,54 @@ impl Deformed {
         scene.check_limits()?;
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
         let min_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
-        let inputs = StackInputs { min_ramp_mm, storage: Some(Storage::F32), exact_cuts, ..Self::inputs(assets, &view, &CpuOnly, watch) };
-        let inside = inside::of_scene(scene, &assets.inside_meshes, &assets.library, &inputs.scene_box, min_ramp_mm)?
-            .map_or_else(Vec::new, |i| i.maps.clone());
+        let inputs = StackInputs {
+            min_ramp_mm,
+            storage: Some(Storage::F32),
+            exact_cuts,
+            ..Self::inputs(assets, &view, &CpuOnly, watch)
+        };
+        let inside = inside::of_scene(
+            scene,
+            &assets.inside_meshes,
+            &assets.library,
+            &inputs.scene_box,
+            min_ramp_mm,
+        )?
+        .map_or_else(Vec::new, |i| i.maps.clone());
         let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, Vec::new())?;
-        Ok(Self { stack, cuts, composition: None, proxy_mesh: None })
+        Ok(Self {
+            stack,
+            cuts,
+            composition: None,
+            proxy_mesh: None,
+        })
     }
 
-    fn inputs<'a>(assets: &'a Assets, view: &'a ViewFrame, accelerator: &'a dyn Accelerator, watch: &'a Watch<'a>) -> StackInputs<'a> {
+    fn inputs<'a>(
+        assets: &'a Assets,
+        view: &'a ViewFrame,
+        accelerator: &'a dyn Accelerator,
+        watch: &'a Watch<'a>,
+    ) -> StackInputs<'a> {
         let scene_box: Bounds = assets.scene_box();
-        StackInputs { library: &assets.library, scene_box, min_ramp_mm: 0.0, view, storage: None, exact_cuts: true, accelerator, watch }
+        StackInputs {
+            library: &assets.library,
+            scene_box,
+            min_ramp_mm: 0.0,
+            view,
+            storage: None,
+            exact_cuts: true,
+            accelerator,
+            watch,
+        }
     }
 
     /// Its maps and cuts.
     pub fn stack_and_cuts(&self) -> StackAndCuts<'_> {
-        StackAndCuts { stack: &self.stack, cuts: &self.cuts }
+        StackAndCuts {
+            stack: &self.stack,
+            cuts: &self.cuts,
+        }
     }
 
     /// The deformed position of a source point, mm; none if it is cut away or not found.

@@ -57,8 +57,16 @@ const MAX_CACHED_INSIDES: usize = 2;
 ///
 /// # Errors
 /// As [`resolve`].
-pub fn of_scene(scene: &Scene, cache: &InsideCache, library: &Library, scene_box: &Bounds, min_ramp_mm: f32) -> Result<Option<Arc<InsideMeshMaps>>> {
-    let Some(mesh) = scene.volume.as_ref().and_then(|v| v.inside.as_ref()) else { return Ok(None) };
+pub fn of_scene(
+    scene: &Scene,
+    cache: &InsideCache,
+    library: &Library,
+    scene_box: &Bounds,
+    min_ramp_mm: f32,
+) -> Result<Option<Arc<InsideMeshMaps>>> {
+    let Some(mesh) = scene.volume.as_ref().and_then(|v| v.inside.as_ref()) else {
+        return Ok(None);
+    };
     let key = (mesh.clone(), *scene_box, min_ramp_mm);
     let lock = || cache.0.lock().unwrap_or_else(PoisonError::into_inner);
     let cached = {
@@ -86,7 +94,12 @@ pub fn of_scene(scene: &Scene, cache: &InsideCache, library: &Library, scene_box
 ///
 /// # Errors
 /// A mesh that cannot be read or is not closed, or an invalid placement or deformer.
-pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_ramp_mm: f32) -> Result<InsideMeshMaps> {
+pub fn resolve(
+    library: &Library,
+    inside: &InsideMesh,
+    scene_box: &Bounds,
+    min_ramp_mm: f32,
+) -> Result<InsideMeshMaps> {
     let named = |e: Error| e.within("volume.inside");
     let path = library.path(&inside.path);
     let mesh = load::mesh(&path)?;
@@ -101,14 +114,27 @@ pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_r
         return Err(Error::file(&path, problem));
     }
     // Contours need triangles that face outwards.
-    let mesh = if topology.flipped_edges > 0 { mesh.oriented().0 } else { mesh };
+    let mesh = if topology.flipped_edges > 0 {
+        mesh.oriented().0
+    } else {
+        mesh
+    };
     let deformers = deformers(&inside.deformer, &mesh.bounds()).map_err(named)?;
     let mut maps = vec![mask(&path, &mesh, scene_box, min_ramp_mm, inside.invert)?];
     let mut moved = mesh.clone();
     if !deformers.is_empty() {
         // The edges of a large triangle stay straight, unlike the volume inside.
-        moved = moved.tessellated(|p| apply_all(&deformers, p).0, 1e-4 * mesh.bounds().size().length(), MAX_TRIANGLES).0;
-        moved.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
+        moved = moved
+            .tessellated(
+                |p| apply_all(&deformers, p).0,
+                1e-4 * mesh.bounds().size().length(),
+                MAX_TRIANGLES,
+            )
+            .0;
+        moved
+            .positions
+            .iter_mut()
+            .for_each(|p| *p = apply_all(&deformers, *p).0);
         let (map, missing) = inverse(&deformers, &mesh.bounds().union(&moved.bounds()))?;
         if missing > 0.01 {
             library.notice(format!(
@@ -118,16 +144,31 @@ pub fn resolve(library: &Library, inside: &InsideMesh, scene_box: &Bounds, min_r
         }
         maps.push(map);
     }
-    Ok(InsideMeshMaps { maps, proxy: (!inside.invert).then(|| Arc::new(moved)) })
+    Ok(InsideMeshMaps {
+        maps,
+        proxy: (!inside.invert).then(|| Arc::new(moved)),
+    })
 }
 
 /// The mesh's distance as a mask over the boxes of the scene and the mesh.
-fn mask(path: &std::path::Path, mesh: &Mesh, scene_box: &Bounds, min_ramp_mm: f32, invert: bool) -> Result<PlacedMap> {
+fn mask(
+    path: &std::path::Path,
+    mesh: &Mesh,
+    scene_box: &Bounds,
+    min_ramp_mm: f32,
+    invert: bool,
+) -> Result<PlacedMap> {
     let all = scene_box.union(&mesh.bounds());
     let texel = all.size().max_element() / MASK;
     let all = all.grown(texel);
-    let settings = FieldSettings { cell_mm: Some(texel), parity: true, ..FieldSettings::default() };
-    let field = MeshField::new(mesh, &settings, &Watch::NONE).map_err(|problem| Error::file(path, problem))?.grid;
+    let settings = FieldSettings {
+        cell_mm: Some(texel),
+        parity: true,
+        ..FieldSettings::default()
+    };
+    let field = MeshField::new(mesh, &settings, &Watch::NONE)
+        .map_err(|problem| Error::file(path, problem))?
+        .grid;
     let size = (all.size() / texel).ceil().to_array().map(|n| n as usize + 1);
     let ramp = min_ramp_mm.max(2.0 * texel);
     let sense = if invert { -1.0 } else { 1.0 };
@@ -135,7 +176,10 @@ fn mask(path: &std::path::Path, mesh: &Mesh, scene_box: &Bounds, min_ramp_mm: f3
         displacement: Vec3::ZERO,
         alpha: (0.5 + sense * field.sample(all.min + x * all.size()) / (2.0 * ramp)).clamp(0.0, 1.0),
     });
-    Ok(PlacedMap::new(Arc::new(map), Placement::new(all.center(), all.size(), Vec3::ZERO)?))
+    Ok(PlacedMap::new(
+        Arc::new(map),
+        Placement::new(all.center(), all.size(), Vec3::ZERO)?,
+    ))
 }
 
 /// The inverse of a chain of deformers over a box, and the fraction of its points without a source.
@@ -144,9 +188,16 @@ fn inverse(deformers: &[Deformer], over: &Bounds) -> Result<(PlacedMap, f64)> {
     let over = over.grown(2.0 * step);
     let size = (over.size() / step).ceil().to_array().map(|n| n as usize + 1);
     let spacing = over.size() / Vec3::from(size.map(|n| (n - 1) as f32));
-    let world_from_voxel = DAffine3::from_translation(over.min.as_dvec3()) * DAffine3::from_scale(spacing.as_dvec3());
+    let world_from_voxel =
+        DAffine3::from_translation(over.min.as_dvec3()) * DAffine3::from_scale(spacing.as_dvec3());
     let forward = |p: DVec3| apply_all(deformers, p.as_vec3()).0.as_dvec3();
-    let inverse = invert::function(&forward, &GridGeometry { size, world_from_voxel });
+    let inverse = invert::function(
+        &forward,
+        &GridGeometry {
+            size,
+            world_from_voxel,
+        },
+    );
     let missing = inverse.report.not_found as f64 / inverse.report.points.max(1) as f64;
     Ok((inverse.placed(Storage::F32, 1.0)?, missing))
 }

@@ -83,13 +83,21 @@ impl CellGrid {
         let extent = bounds.size();
         let size = (extent / edge).ceil().max(Vec3::ONE);
         let cell_mm = extent / size;
-        Self { bounds, size: size.as_uvec3(), cell_mm, margin_mm: 1e-3 * cell_mm.max_element() }
+        Self {
+            bounds,
+            size: size.as_uvec3(),
+            cell_mm,
+            margin_mm: 1e-3 * cell_mm.max_element(),
+        }
     }
 
     /// Cells for a volume with voxels of `voxel_mm`: at least a few voxels large, and limited in
     /// number.
     pub fn over(bounds: Bounds, voxel_mm: f32) -> Self {
-        Self::new(bounds, (bounds.size().max_element() / MAX_CELLS).max(3.0 * voxel_mm))
+        Self::new(
+            bounds,
+            (bounds.size().max_element() / MAX_CELLS).max(3.0 * voxel_mm),
+        )
     }
 
     /// The box between two corners of cells, with the margin.
@@ -106,7 +114,15 @@ impl Macrocells {
     }
 
     fn of_distances(origin: Vec3, cell_mm: Vec3, size: UVec3, distance: Vec<u8>, occupied: Bounds) -> Self {
-        Self { origin, cell_mm, size, distance, occupied, blocks: OnceLock::new(), cells_per_mm: cell_mm.recip() }
+        Self {
+            origin,
+            cell_mm,
+            size,
+            distance,
+            occupied,
+            blocks: OnceLock::new(),
+            cells_per_mm: cell_mm.recip(),
+        }
     }
 
     /// The form read by renderers: as `distance`, but for cut-free cells `CUT_FREE_FLAG` (128) plus
@@ -124,7 +140,15 @@ impl Macrocells {
         self.blocks.get_or_init(|| {
             let other: Vec<bool> = self.distance.iter().map(|d| *d != CUT_FREE).collect();
             let blocks = self.distance.iter().zip(chessboard_distance(&other, self.size));
-            blocks.map(|(&d, inside)| if d == CUT_FREE { CUT_FREE_FLAG + inside.min(CUT_FREE_FLAG - 1) } else { d.min(CUT_FREE_FLAG - 1) }).collect()
+            blocks
+                .map(|(&d, inside)| {
+                    if d == CUT_FREE {
+                        CUT_FREE_FLAG + inside.min(CUT_FREE_FLAG - 1)
+                    } else {
+                        d.min(CUT_FREE_FLAG - 1)
+                    }
+                })
+                .collect()
         })
     }
 
@@ -132,7 +156,11 @@ impl Macrocells {
     /// further back counts at the position of the sample.
     pub fn new(bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria) -> Self {
         contents.stack.fetch_texels();
-        Self::classified(CellGrid::over(bounds, voxel_mm), |b| contents.visibility(b), |b| contents.near_cuts(b))
+        Self::classified(
+            CellGrid::over(bounds, voxel_mm),
+            |b| contents.visibility(b),
+            |b| contents.near_cuts(b),
+        )
     }
 
     /// The cells of a grid; occupied are those whose box shows anything, and cut-free are those of
@@ -140,20 +168,39 @@ impl Macrocells {
     ///
     /// Blocks of cells are tested before their cells: a block that shows nothing, or something
     /// everywhere, is not subdivided.
-    pub fn classified(grid: CellGrid, visibility: impl Fn(&Bounds) -> BoxVisibility + Sync, near_cuts: impl Fn(&Bounds) -> bool + Sync) -> Self {
+    pub fn classified(
+        grid: CellGrid,
+        visibility: impl Fn(&Bounds) -> BoxVisibility + Sync,
+        near_cuts: impl Fn(&Bounds) -> bool + Sync,
+    ) -> Self {
         let size = grid.size;
         let blocks = UVec3::from(size.to_array().map(|n| n.div_ceil(BLOCK)));
         let between = |low: UVec3, high: UVec3| grid.between(low, high);
         let found: Vec<[Vec<UVec3>; 2]> = (0..blocks.element_product())
             .into_par_iter()
             .map(|index| {
-                let low = UVec3::new(index % blocks.x, index / blocks.x % blocks.y, index / blocks.x / blocks.y) * BLOCK;
+                let low = UVec3::new(
+                    index % blocks.x,
+                    index / blocks.x % blocks.y,
+                    index / blocks.x / blocks.y,
+                ) * BLOCK;
                 let high = size.min(low + BLOCK);
                 let (mut cells, mut near) = (Vec::new(), Vec::new());
-                occupied_cells(&|low, high| visibility(&between(low, high)), low, high, &mut cells);
+                occupied_cells(
+                    &|low, high| visibility(&between(low, high)),
+                    low,
+                    high,
+                    &mut cells,
+                );
                 if !cells.is_empty() {
                     occupied_cells(
-                        &|low, high| if near_cuts(&between(low, high)) { BoxVisibility::MaybeVisible } else { BoxVisibility::Invisible },
+                        &|low, high| {
+                            if near_cuts(&between(low, high)) {
+                                BoxVisibility::MaybeVisible
+                            } else {
+                                BoxVisibility::Invisible
+                            }
+                        },
                         low,
                         high,
                         &mut near,
@@ -169,14 +216,23 @@ impl Macrocells {
         }
         for &cell in found.iter().flat_map(|[_, near]| near) {
             let at = &mut flags[index(cell)];
-            *at = if *at == CellState::CutFree { CellState::Occupied } else { *at };
+            *at = if *at == CellState::CutFree {
+                CellState::Occupied
+            } else {
+                *at
+            };
         }
         Self::of_flags(&grid, &flags)
     }
 
     /// The cells of a grid from their states, x fastest.
     pub fn of_flags(grid: &CellGrid, flags: &[CellState]) -> Self {
-        let CellGrid { bounds, size, cell_mm, .. } = *grid;
+        let CellGrid {
+            bounds,
+            size,
+            cell_mm,
+            ..
+        } = *grid;
         let occupied: Vec<bool> = flags.iter().map(|f| *f != CellState::Empty).collect();
         let mut all: Option<(UVec3, UVec3)> = None;
         for (n, row) in occupied.chunks(size.x as usize).enumerate() {
@@ -187,10 +243,24 @@ impl Macrocells {
             }
         }
         let mut distance = chessboard_distance(&occupied, size);
-        distance.iter_mut().zip(flags).filter(|(_, f)| **f == CellState::CutFree).for_each(|(d, _)| *d = CUT_FREE);
-        let of_cells =
-            |(low, high): (UVec3, UVec3)| Bounds::new(bounds.min + low.as_vec3() * cell_mm, bounds.min + high.as_vec3() * cell_mm + cell_mm);
-        Self::of_distances(bounds.min, cell_mm, size, distance, all.map_or(Bounds::EMPTY, of_cells))
+        distance
+            .iter_mut()
+            .zip(flags)
+            .filter(|(_, f)| **f == CellState::CutFree)
+            .for_each(|(d, _)| *d = CUT_FREE);
+        let of_cells = |(low, high): (UVec3, UVec3)| {
+            Bounds::new(
+                bounds.min + low.as_vec3() * cell_mm,
+                bounds.min + high.as_vec3() * cell_mm + cell_mm,
+            )
+        };
+        Self::of_distances(
+            bounds.min,
+            cell_mm,
+            size,
+            distance,
+            all.map_or(Bounds::EMPTY, of_cells),
+        )
     }
 
     /// Whether a cell, by its flat index, may show anything.
@@ -200,13 +270,21 @@ impl Macrocells {
 
     /// The box of a cell by its flat index.
     pub fn cell_box(&self, index: usize) -> Bounds {
-        cell_box(&Bounds::new(self.origin, self.origin), self.size, self.cell_mm, index as u32)
+        cell_box(
+            &Bounds::new(self.origin, self.origin),
+            self.size,
+            self.cell_mm,
+            index as u32,
+        )
     }
 
     /// Flat index of the cell at a point; the nearest cell for a point outside the grid.
     #[inline(always)]
     pub fn index(&self, p: Vec3) -> usize {
-        let c = ((p - self.origin) / self.cell_mm).floor().clamp(Vec3::ZERO, (self.size - 1).as_vec3()).as_uvec3();
+        let c = ((p - self.origin) / self.cell_mm)
+            .floor()
+            .clamp(Vec3::ZERO, (self.size - 1).as_vec3())
+            .as_uvec3();
         ((c.z * self.size.y + c.y) * self.size.x + c.x) as usize
     }
 
@@ -238,13 +316,23 @@ impl Macrocells {
     #[inline(always)]
     fn cells_along<S: Simd>(&self, p: f32x8<S>, axis: usize) -> (f32x8<S>, i32x8<S>) {
         // Positions below the first cell are clamped to it: truncation equals floor.
-        let cell = ((p - self.origin[axis]) * self.cells_per_mm[axis]).to_int::<i32x8<S>>().max(0).min(self.size[axis] as i32 - 1);
+        let cell = ((p - self.origin[axis]) * self.cells_per_mm[axis])
+            .to_int::<i32x8<S>>()
+            .max(0)
+            .min(self.size[axis] as i32 - 1);
         (cell.to_float(), cell)
     }
 
     /// Parameters at which rays leave the slabs of `reach` - 1 cells on both sides of their cell.
     #[inline(always)]
-    fn leaves<S: Simd>(&self, cell: f32x8<S>, reach: f32x8<S>, origin: f32x8<S>, inverse: f32x8<S>, axis: usize) -> f32x8<S> {
+    fn leaves<S: Simd>(
+        &self,
+        cell: f32x8<S>,
+        reach: f32x8<S>,
+        origin: f32x8<S>,
+        inverse: f32x8<S>,
+        axis: usize,
+    ) -> f32x8<S> {
         // The face towards which a ray heads. A ray along a face of the block multiplies zero by
         // infinity: NaN, which the minimum with the other axes drops.
         let face = (cell + 0.5) + (reach - 0.5).copysign(inverse);
@@ -262,7 +350,11 @@ impl Macrocells {
         origin: Vec3x8<S>,
         inverse_direction: Vec3x8<S>,
     ) -> (mask32x8<S>, mask32x8<S>, f32x8<S>) {
-        let ((x, i), (y, j), (z, k)) = (self.cells_along(p.x, 0), self.cells_along(p.y, 1), self.cells_along(p.z, 2));
+        let ((x, i), (y, j), (z, k)) = (
+            self.cells_along(p.x, 0),
+            self.cells_along(p.y, 1),
+            self.cells_along(p.z, 2),
+        );
         let size = self.size.as_ivec3();
         let index = (k * size.y + j) * size.x + i;
         let of_cells = self.blocks();
@@ -283,7 +375,12 @@ impl Macrocells {
 
 /// The occupied cells from `low` to `high` (exclusive), from the visibility of boxes between
 /// corners of cells.
-fn occupied_cells(visibility: &impl Fn(UVec3, UVec3) -> BoxVisibility, low: UVec3, high: UVec3, cells: &mut Vec<UVec3>) {
+fn occupied_cells(
+    visibility: &impl Fn(UVec3, UVec3) -> BoxVisibility,
+    low: UVec3,
+    high: UVec3,
+    cells: &mut Vec<UVec3>,
+) {
     let extent = high - low;
     match visibility(low, high) {
         BoxVisibility::Invisible => {}
@@ -328,10 +425,18 @@ fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
             let (j, k) = ((n % ny) as isize, (n / ny) as isize);
             let before = if backwards { 1 } else { -1 };
             least.fill(FAR);
-            for (j, k) in [(j + before, k), (j - 1, k + before), (j, k + before), (j + 1, k + before)] {
+            for (j, k) in [
+                (j + before, k),
+                (j - 1, k + before),
+                (j, k + before),
+                (j + 1, k + before),
+            ] {
                 if (0..ny as isize).contains(&j) && (0..nz as isize).contains(&k) {
                     let row = &distance[(k as usize * ny + j as usize) * nx..][..nx];
-                    least[1..=nx].iter_mut().zip(row).for_each(|(l, d)| *l = (*l).min(*d));
+                    least[1..=nx]
+                        .iter_mut()
+                        .zip(row)
+                        .for_each(|(l, d)| *l = (*l).min(*d));
                 }
             }
             let row = &mut distance[n * nx..][..nx];
@@ -343,7 +448,11 @@ fn chessboard_distance(occupied: &[bool], size: UVec3) -> Vec<u8> {
                 last = (*d).min(last.saturating_add(1));
                 *d = last;
             };
-            if backwards { row.iter_mut().rev().for_each(along) } else { row.iter_mut().for_each(along) }
+            if backwards {
+                row.iter_mut().rev().for_each(along)
+            } else {
+                row.iter_mut().for_each(along)
+            }
         }
     }
     distance
@@ -365,7 +474,10 @@ mod tests {
         for z in 0..6i32 {
             for y in 0..5i32 {
                 for x in 0..7i32 {
-                    let want = seeds.iter().map(|s| (s.0 - x).abs().max((s.1 - y).abs()).max((s.2 - z).abs())).min();
+                    let want = seeds
+                        .iter()
+                        .map(|s| (s.0 - x).abs().max((s.1 - y).abs()).max((s.2 - z).abs()))
+                        .min();
                     assert_eq!(Some(i32::from(distance[((z * 5 + y) * 7 + x) as usize])), want);
                 }
             }
@@ -381,25 +493,46 @@ mod tests {
             type Output = [(bool, bool, f32); LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
-                let (origin, direction) = (Vec3x8::from_lanes(simd, &self.1), Vec3x8::from_lanes(simd, &self.2));
+                let (origin, direction) = (
+                    Vec3x8::from_lanes(simd, &self.1),
+                    Vec3x8::from_lanes(simd, &self.2),
+                );
                 let one = f32x8::splat(simd, 1.0);
-                let inverse = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+                let inverse = Vec3x8 {
+                    x: one / direction.x,
+                    y: one / direction.y,
+                    z: one / direction.z,
+                };
                 let (empty, clear, exit) = self.0.blocks_lanes(simd, origin, origin, inverse);
                 std::array::from_fn(|n| (empty.test(n), clear.test(n), exit[n]))
             }
         }
         let bounds = Bounds::new(Vec3::new(-3.0, 1.0, 2.0), Vec3::new(37.0, 31.0, 34.0));
         let ball = |b: &Bounds, radius: f32| (b.center() - bounds.center()).length() < radius;
-        let visibility =
-            |b: &Bounds| if b.size().max_element() > 3.0 || ball(b, 13.0) { BoxVisibility::MaybeVisible } else { BoxVisibility::Invisible };
-        let cells = Macrocells::classified(CellGrid::new(bounds, 2.0), visibility, |b| b.size().max_element() > 3.0 || !ball(b, 10.0));
+        let visibility = |b: &Bounds| {
+            if b.size().max_element() > 3.0 || ball(b, 13.0) {
+                BoxVisibility::MaybeVisible
+            } else {
+                BoxVisibility::Invisible
+            }
+        };
+        let cells = Macrocells::classified(CellGrid::new(bounds, 2.0), visibility, |b| {
+            b.size().max_element() > 3.0 || !ball(b, 10.0)
+        });
         let clear_at = |p: Vec3| cells.distance[cells.index(p)] == CUT_FREE;
         let (mut empties, mut clears, mut others, mut longest) = (0, 0, 0, 0.0f32);
         for n in 0..600 {
-            let at = |m: usize| bounds.min + bounds.size() * Vec3::from([7919, 104_729, 1_299_709].map(|p| (m * p % 10_007) as f32 / 10_007.0));
+            let at = |m: usize| {
+                bounds.min
+                    + bounds.size()
+                        * Vec3::from([7919, 104_729, 1_299_709].map(|p| (m * p % 10_007) as f32 / 10_007.0))
+            };
             let points: [Vec3; LANES] = std::array::from_fn(|lane| at(n * 8 + lane + 1));
             let directions = std::array::from_fn(|lane| (at(n * 8 + lane + 77) - points[lane]).normalize());
-            for (lane, (empty, clear, exit)) in with_simd(BlocksKernel(&cells, points, directions)).into_iter().enumerate() {
+            for (lane, (empty, clear, exit)) in with_simd(BlocksKernel(&cells, points, directions))
+                .into_iter()
+                .enumerate()
+            {
                 let (p, d) = (points[lane], directions[lane]);
                 let single = cells.empty_until(p, p, d.recip());
                 assert_eq!((empty, clear), (single.is_some(), clear_at(p)), "{p}");
@@ -407,7 +540,10 @@ mod tests {
                     assert!((exit - single).abs() < 1e-4, "{p} {d}: {exit} for {single}");
                     empties += 1;
                 } else if clear {
-                    assert!((1..20).all(|part| clear_at(p + d * (exit * part as f32 / 20.0))), "{p} {d} {exit}");
+                    assert!(
+                        (1..20).all(|part| clear_at(p + d * (exit * part as f32 / 20.0))),
+                        "{p} {d} {exit}"
+                    );
                     longest = longest.max(exit);
                     clears += 1;
                 } else {
@@ -415,7 +551,10 @@ mod tests {
                 }
             }
         }
-        assert!(empties > 500 && clears > 200 && others > 200 && longest > 5.0, "{empties} {clears} {others} {longest}");
+        assert!(
+            empties > 500 && clears > 200 && others > 200 && longest > 5.0,
+            "{empties} {clears} {others} {longest}"
+        );
     }
 
     #[test]
@@ -423,7 +562,13 @@ mod tests {
         let mut occupied = vec![false; 10];
         occupied[6] = true;
         let size = UVec3::new(10, 1, 1);
-        let cells = Macrocells::of_distances(Vec3::ZERO, Vec3::ONE, size, chessboard_distance(&occupied, size), Bounds::UNIT);
+        let cells = Macrocells::of_distances(
+            Vec3::ZERO,
+            Vec3::ONE,
+            size,
+            chessboard_distance(&occupied, size),
+            Bounds::UNIT,
+        );
         let origin = Vec3::new(-1.0, 0.5, 0.5);
         let mut t = 1.5;
         let mut jumps = 0;

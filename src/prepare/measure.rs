@@ -47,19 +47,37 @@ impl Measure {
     /// A label that no voxel has, or labels that cannot be read.
     pub fn quantities(&self, assets: &Assets, deformed: &Deformed) -> Result<Vec<Quantity>> {
         let source: Vec<Vec3> = self.points.iter().map(|p| Vec3::from(*p)).collect();
-        let unit = if self.kind == MeasureKind::Angle { "°" } else { "mm" };
+        let unit = if self.kind == MeasureKind::Angle {
+            "°"
+        } else {
+            "mm"
+        };
         Ok(match self.kind {
             MeasureKind::Distance | MeasureKind::Angle => {
-                let mut all = vec![Quantity { what: self.kind.name(), value: of_points(self.kind, &source), unit }];
+                let mut all = vec![Quantity {
+                    what: self.kind.name(),
+                    value: of_points(self.kind, &source),
+                    unit,
+                }];
                 if !deformed.stack_and_cuts().is_empty() {
                     let seen: Option<Vec<Vec3>> = source.iter().map(|p| deformed.forward(*p)).collect();
-                    all.push(Quantity { what: "after deformation", value: seen.and_then(|p| of_points(self.kind, &p)), unit });
+                    all.push(Quantity {
+                        what: "after deformation",
+                        value: seen.and_then(|p| of_points(self.kind, &p)),
+                        unit,
+                    });
                 }
                 all
             }
-            MeasureKind::Probe => vec![Quantity { what: "Value", value: self.probed(&assets.volume), unit: "" }],
+            MeasureKind::Probe => vec![Quantity {
+                what: "Value",
+                value: self.probed(&assets.volume),
+                unit: "",
+            }],
             MeasureKind::Label => {
-                let label = self.label.ok_or_else(|| Error::value("measure.label", "is missing; name a label"))?;
+                let label = self
+                    .label
+                    .ok_or_else(|| Error::value("measure.label", "is missing; name a label"))?;
                 label_quantities(assets.label_map()?, label, deformed)?
             }
         })
@@ -69,21 +87,37 @@ impl Measure {
 /// The value of the voxel nearest to a world point, data units.
 pub fn nearest_value(volume: &Volume, world: DVec3) -> Option<f64> {
     let v = volume.world_from_voxel.inverse().transform_point3(world).round();
-    let inside = v.is_finite() && v.cmpge(DVec3::ZERO).all() && (0..3).all(|a| (v[a] as usize) < volume.size[a]);
+    let inside =
+        v.is_finite() && v.cmpge(DVec3::ZERO).all() && (0..3).all(|a| (v[a] as usize) < volume.size[a]);
     inside.then(|| volume.value(v.x as usize, v.y as usize, v.z as usize))
 }
 
 /// Volume and surface of a label in the patient, and its volume in the deformed scene.
 fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<Vec<Quantity>> {
-    let count: usize = labels.voxels.fold(|| 0, |count, v| count + usize::from(v == f64::from(label)), |a, b| a + b);
+    let count: usize = labels.voxels.fold(
+        || 0,
+        |count, v| count + usize::from(v == f64::from(label)),
+        |a, b| a + b,
+    );
     let voxel_mm3 = labels.world_from_voxel.matrix3.determinant().abs();
     if count == 0 {
-        return Err(Error::value("measure.label", format!("no voxel has the label {label}")));
+        return Err(Error::value(
+            "measure.label",
+            format!("no voxel has the label {label}"),
+        ));
     }
     let ml = |mm3: f64| mm3 / 1000.0;
     let mut all = vec![
-        Quantity { what: "Volume", value: Some(ml(count as f64 * voxel_mm3)), unit: "ml" },
-        Quantity { what: "Surface area", value: surface_mm2(labels, label).map(|mm2| mm2 / 100.0), unit: "cm²" },
+        Quantity {
+            what: "Volume",
+            value: Some(ml(count as f64 * voxel_mm3)),
+            unit: "ml",
+        },
+        Quantity {
+            what: "Surface area",
+            value: surface_mm2(labels, label).map(|mm2| mm2 / 100.0),
+            unit: "cm²",
+        },
     ];
     let deformation = deformed.stack_and_cuts();
     if !deformation.is_empty() {
@@ -98,7 +132,8 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
                     for i in 0..n.x {
                         let p = bounds.min + (glam::UVec3::new(i, j, k).as_vec3() + 0.5) * step;
                         let source = deformation.source(p);
-                        if source.and_then(|s| nearest_value(labels, s.as_dvec3())) == Some(f64::from(label)) {
+                        if source.and_then(|s| nearest_value(labels, s.as_dvec3())) == Some(f64::from(label))
+                        {
                             seen += 1;
                         }
                     }
@@ -106,7 +141,11 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
                 seen
             })
             .sum();
-        all.push(Quantity { what: "after deformation", value: Some(ml(seen as f64 * f64::from(step).powi(3))), unit: "ml" });
+        all.push(Quantity {
+            what: "after deformation",
+            value: Some(ml(seen as f64 * f64::from(step).powi(3))),
+            unit: "ml",
+        });
     }
     Ok(all)
 }
@@ -126,7 +165,10 @@ fn surface_mm2(labels: &Volume, label: u32) -> Option<f64> {
             let mut sum = 0.0;
             for j in 0..ny {
                 for i in 0..nx {
-                    let p = labels.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64)).as_vec3();
+                    let p = labels
+                        .world_from_voxel
+                        .transform_point3(DVec3::new(i as f64, j as f64, k as f64))
+                        .as_vec3();
                     let f = f64::from(field.sample(p));
                     if f.abs() < width {
                         let delta = (1.0 + (std::f64::consts::PI * f / width).cos()) / (2.0 * width);
@@ -143,15 +185,35 @@ fn surface_mm2(labels: &Volume, label: u32) -> Option<f64> {
 /// All measurements as a table: kind, name, quantity, value, unit, the points in the patient (mm),
 /// and remarks.
 pub fn csv(measures: &[(Measure, Vec<Quantity>)]) -> String {
-    let quoted = |text: &str| if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() };
+    let quoted = |text: &str| {
+        if text.contains([',', '"', '\n', '\r']) {
+            format!("\"{}\"", text.replace('"', "\"\""))
+        } else {
+            text.to_owned()
+        }
+    };
     let mut out = String::from("kind,name,quantity,value,unit,points_lps_mm,note\n");
     for (measure, quantities) in measures {
-        let points: Vec<String> = measure.points.iter().map(|p| format!("{} {} {}", p[0], p[1], p[2])).collect();
+        let points: Vec<String> = measure
+            .points
+            .iter()
+            .map(|p| format!("{} {} {}", p[0], p[1], p[2]))
+            .collect();
         for q in quantities {
             let value = q.value.map_or_else(String::new, |v| format!("{v}"));
             let name = quoted(measure.name.as_deref().unwrap_or_default());
-            let note = if measure.before_resampling { "made before resampling" } else { "" };
-            out.push_str(&format!("{},{name},{},{value},{},{},{note}\n", measure.kind.name(), q.what, q.unit, points.join("; ")));
+            let note = if measure.before_resampling {
+                "made before resampling"
+            } else {
+                ""
+            };
+            out.push_str(&format!(
+                "{},{name},{},{value},{},{},{note}\n",
+                measure.kind.name(),
+                q.what,
+                q.unit,
+                points.join("; ")
+            ));
         }
     }
     out
@@ -165,7 +227,13 @@ mod tests {
     use glam::{DAffine3, DMat3};
 
     fn measure(kind: MeasureKind, points: &[[f32; 3]]) -> Measure {
-        Measure { kind, name: None, points: points.to_vec(), label: None, before_resampling: false }
+        Measure {
+            kind,
+            name: None,
+            points: points.to_vec(),
+            label: None,
+            before_resampling: false,
+        }
     }
 
     #[test]
@@ -174,8 +242,22 @@ mod tests {
         let assets = Assets::load(&scene).unwrap();
         let deformed = Deformed::new(&scene, &assets).unwrap();
         let of = |m: Measure| m.quantities(&assets, &deformed).unwrap()[0].value.unwrap();
-        assert!((of(measure(MeasureKind::Distance, &[[0.0, 0.0, 0.0], [3.0, 4.0, 12.0]])) - 13.0).abs() < 1e-6);
-        assert!((of(measure(MeasureKind::Angle, &[[5.0, 0.0, 0.0], [0.0; 3], [1.0, 1.0, 0.0]])) - 45.0).abs() < 1e-5);
+        assert!(
+            (of(measure(
+                MeasureKind::Distance,
+                &[[0.0, 0.0, 0.0], [3.0, 4.0, 12.0]]
+            )) - 13.0)
+                .abs()
+                < 1e-6
+        );
+        assert!(
+            (of(measure(
+                MeasureKind::Angle,
+                &[[5.0, 0.0, 0.0], [0.0; 3], [1.0, 1.0, 0.0]]
+            )) - 45.0)
+                .abs()
+                < 1e-5
+        );
     }
 
     /// A slab that opens moves one end of a distance by the gap; the length in the patient stays
@@ -189,12 +271,20 @@ mod tests {
         let assets = Assets::load(&scene).unwrap();
         let deformed = Deformed::new(&scene, &assets).unwrap();
         let b = assets.volume.bounds_in_world();
-        let (p, q) = (b.center() + b.size() * Vec3::new(0.1, 0.0, -0.3), b.center() + b.size() * Vec3::new(0.1, 0.0, 0.3));
-        let found = measure(MeasureKind::Distance, &[p.into(), q.into()]).quantities(&assets, &deformed).unwrap();
+        let (p, q) = (
+            b.center() + b.size() * Vec3::new(0.1, 0.0, -0.3),
+            b.center() + b.size() * Vec3::new(0.1, 0.0, 0.3),
+        );
+        let found = measure(MeasureKind::Distance, &[p.into(), q.into()])
+            .quantities(&assets, &deformed)
+            .unwrap();
         let seen = (deformed.forward(q).unwrap() - deformed.forward(p).unwrap()).length();
         assert!((deformed.stack.source_and_alpha(deformed.forward(q).unwrap()).0 - q).length() < 0.01);
         assert!((found[0].value.unwrap() - f64::from((q - p).length())).abs() < 1e-3);
-        assert!((found[1].value.unwrap() - f64::from(seen)).abs() < 1e-3 && f64::from(seen) > found[0].value.unwrap() + 0.1);
+        assert!(
+            (found[1].value.unwrap() - f64::from(seen)).abs() < 1e-3
+                && f64::from(seen) > found[0].value.unwrap() + 0.1
+        );
     }
 
     /// A ball of labels has the volume and surface of its closed form.
@@ -202,29 +292,59 @@ mod tests {
     fn a_labelled_ball_has_its_volume_and_surface() {
         let (n, radius, spacing) = (48usize, 18.0f64, 0.5f64);
         let inside = |i: usize| {
-            let p = DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64) - (n as f64 - 1.0) / 2.0;
+            let p =
+                DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64) - (n as f64 - 1.0) / 2.0;
             u8::from(p.length() <= radius) * 3
         };
         let voxels: Vec<u8> = (0..n * n * n).map(inside).collect();
-        let mut volume = Volume::new(Voxels::new([n; 3], voxels), Rescale::NONE, DAffine3::from_mat3(DMat3::from_diagonal(DVec3::splat(spacing))));
+        let mut volume = Volume::new(
+            Voxels::new([n; 3], voxels),
+            Rescale::NONE,
+            DAffine3::from_mat3(DMat3::from_diagonal(DVec3::splat(spacing))),
+        );
         volume.declared_labels = true;
         let scene = Scene::of_volume("phantom:ball");
         let assets = Assets::of_volume(volume);
         let deformed = Deformed::new(&scene, &assets).unwrap();
-        let found = Measure { kind: MeasureKind::Label, name: None, points: Vec::new(), label: Some(3), before_resampling: false }
-            .quantities(&assets, &deformed)
-            .unwrap();
+        let found = Measure {
+            kind: MeasureKind::Label,
+            name: None,
+            points: Vec::new(),
+            label: Some(3),
+            before_resampling: false,
+        }
+        .quantities(&assets, &deformed)
+        .unwrap();
         let r = radius * spacing;
-        let (volume, surface) = (4.0 / 3.0 * std::f64::consts::PI * r.powi(3) / 1000.0, 4.0 * std::f64::consts::PI * r * r / 100.0);
-        assert!((found[0].value.unwrap() / volume - 1.0).abs() < 0.01, "{found:?} {volume}");
-        assert!((found[1].value.unwrap() / surface - 1.0).abs() < 0.03, "{found:?} {surface}");
+        let (volume, surface) = (
+            4.0 / 3.0 * std::f64::consts::PI * r.powi(3) / 1000.0,
+            4.0 * std::f64::consts::PI * r * r / 100.0,
+        );
+        assert!(
+            (found[0].value.unwrap() / volume - 1.0).abs() < 0.01,
+            "{found:?} {volume}"
+        );
+        assert!(
+            (found[1].value.unwrap() / surface - 1.0).abs() < 0.03,
+            "{found:?} {surface}"
+        );
     }
 
     #[test]
     fn tables_quote_names() {
         let mut m = measure(MeasureKind::Probe, &[[1.0, 2.0, 3.0]]);
         m.name = Some("a, \"b\"".into());
-        let text = csv(&[(m, vec![Quantity { what: "Value", value: Some(7.5), unit: "" }])]);
-        assert_eq!(text.lines().nth(1), Some("Probe,\"a, \"\"b\"\"\",Value,7.5,,1 2 3,"));
+        let text = csv(&[(
+            m,
+            vec![Quantity {
+                what: "Value",
+                value: Some(7.5),
+                unit: "",
+            }],
+        )]);
+        assert_eq!(
+            text.lines().nth(1),
+            Some("Probe,\"a, \"\"b\"\"\",Value,7.5,,1 2 3,")
+        );
     }
 }

@@ -49,24 +49,37 @@ pub struct PrepareOptions<'a> {
 
 impl Default for PrepareOptions<'_> {
     fn default() -> Self {
-        Self { accelerator: &CpuOnly, more_maps: &[], watch: Watch::NONE }
+        Self {
+            accelerator: &CpuOnly,
+            more_maps: &[],
+            watch: Watch::NONE,
+        }
     }
 }
 
 impl<'a> PrepareOptions<'a> {
     /// With a device that takes over some work.
     pub fn on(accelerator: &'a dyn Accelerator) -> Self {
-        Self { accelerator, ..Self::default() }
+        Self {
+            accelerator,
+            ..Self::default()
+        }
     }
 
     /// With additional maps after the scene's own.
     pub fn with_maps(more_maps: &'a [PlacedMap]) -> Self {
-        Self { more_maps, ..Self::default() }
+        Self {
+            more_maps,
+            ..Self::default()
+        }
     }
 
     /// The same, with progress and cancellation.
     #[must_use]
     pub fn watched(self, watch: &Watch<'a>) -> Self {
-        Self { watch: *watch, ..self }
+        Self {
+            watch: *watch,
+            ..self
+        }
     }
 }

@@ -87,7 +87,13 @@ impl ObjectCache {
     ///
     /// # Errors
     /// Files that cannot be read, or invalid settings.
-    pub fn load(&self, scene: &Scene, library: &Library, volume: &Volume, progress: &(dyn Fn(f32) + Sync)) -> Result<Bounds> {
+    pub fn load(
+        &self,
+        scene: &Scene,
+        library: &Library,
+        volume: &Volume,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Result<Bounds> {
         scene.surface.check()?;
         if scene.mesh.len() > MAX_OBJECTS {
             return Err(Error::value("mesh", format!("a scene has at most {MAX_OBJECTS}")));
@@ -105,7 +111,9 @@ impl ObjectCache {
                     }
                     return Ok(bounds);
                 }
-                Ok(self.implicit(library, source, &scene.surface, None, &watch)?.bounds())
+                Ok(self
+                    .implicit(library, source, &scene.surface, None, &watch)?
+                    .bounds())
             };
             all = all.union(&bounds().map_err(|e| e.within(&source.label(n)))?);
         }
@@ -139,7 +147,11 @@ impl ObjectCache {
         let deformers = deformers(&source.deformer, &placed.bounds())?;
         let mut mesh = (*placed).clone();
         if let (Some(tolerance), false) = (source.tessellate, deformers.is_empty()) {
-            let (finer, reached) = mesh.tessellated(|p| apply_all(&deformers, p).0, tolerance, MAX_TESSELLATED_TRIANGLES);
+            let (finer, reached) = mesh.tessellated(
+                |p| apply_all(&deformers, p).0,
+                tolerance,
+                MAX_TESSELLATED_TRIANGLES,
+            );
             if !reached {
                 library.notice(format!(
                     "{}: tessellation stopped at {} triangles before reaching the tolerance of {tolerance} mm",
@@ -161,11 +173,21 @@ impl ObjectCache {
         let normals = if deformers.is_empty() {
             normals
         } else {
-            let turned = undeformed.iter().map(|t| t.map(|(p, n)| deform_vertex(&deformers, p, n, source.normals).1)).collect();
-            mesh.positions.iter_mut().for_each(|p| *p = apply_all(&deformers, *p).0);
+            let turned = undeformed
+                .iter()
+                .map(|t| t.map(|(p, n)| deform_vertex(&deformers, p, n, source.normals).1))
+                .collect();
+            mesh.positions
+                .iter_mut()
+                .for_each(|p| *p = apply_all(&deformers, *p).0);
             turned
         };
-        let t = Arc::new(Triangles { tree: TriangleBvh::new(&mesh), mesh, normals, undeformed });
+        let t = Arc::new(Triangles {
+            tree: TriangleBvh::new(&mesh),
+            mesh,
+            normals,
+            undeformed,
+        });
         lock(&self.triangles).insert(key, t.clone());
         Ok(t)
     }
@@ -189,7 +211,12 @@ impl ObjectCache {
         let triangles = self.triangles(library, source)?;
         match source.representation() {
             Representation::DepthMap | Representation::DepthMapCube => {
-                let key = format!("{} {:?} {:?} {resolution}", source.mesh_key(), source.representation, source.face);
+                let key = format!(
+                    "{} {:?} {:?} {resolution}",
+                    source.mesh_key(),
+                    source.representation,
+                    source.face
+                );
                 if let Some(d) = lock(&self.depths).get(&key) {
                     return Ok(Implicit::Depth(d.clone()));
                 }
@@ -198,16 +225,27 @@ impl ObjectCache {
                 } else {
                     let name = source.face.as_deref().unwrap_or("-y");
                     let face = FACES.iter().position(|f| *f == name);
-                    vec![
-                        face.ok_or_else(|| Error::value(format!("face \"{name}\""), format!("there is no such face; known: {}", FACES.join(", "))))?
-                            as u32,
-                    ]
+                    vec![face.ok_or_else(|| {
+                        Error::value(
+                            format!("face \"{name}\""),
+                            format!("there is no such face; known: {}", FACES.join(", ")),
+                        )
+                    })? as u32]
                 };
                 let bounds = triangles.mesh.bounds();
                 let margin = 0.02 * bounds.size().max_element();
-                let maps = Arc::new(DepthMaps::new(&triangles.tree, bounds.grown(margin), resolution, &faces));
+                let maps = Arc::new(DepthMaps::new(
+                    &triangles.tree,
+                    bounds.grown(margin),
+                    resolution,
+                    &faces,
+                ));
                 let full = 2 * resolution.pow(3);
-                library.notice(format!("{}: depth maps of {} bytes, where a field of {resolution}³ takes {full}", source.label(0), maps.bytes()));
+                library.notice(format!(
+                    "{}: depth maps of {} bytes, where a field of {resolution}³ takes {full}",
+                    source.label(0),
+                    maps.bytes()
+                ));
                 lock(&self.depths).insert(key, maps.clone());
                 Ok(Implicit::Depth(maps))
             }
@@ -216,9 +254,15 @@ impl ObjectCache {
                 if let Some(f) = lock(&self.fields).get(&key) {
                     return Ok(Implicit::Grid(f));
                 }
-                let settings = FieldSettings { resolution, region, exact: source.exact, ..FieldSettings::default() };
+                let settings = FieldSettings {
+                    resolution,
+                    region,
+                    exact: source.exact,
+                    ..FieldSettings::default()
+                };
                 let path = library.path(source.path.as_deref().unwrap_or_default());
-                let field = MeshField::new(&triangles.mesh, &settings, watch).map_err(|problem| Error::file(&path, problem))?;
+                let field = MeshField::new(&triangles.mesh, &settings, watch)
+                    .map_err(|problem| Error::file(&path, problem))?;
                 let t = &field.topology;
                 if !t.watertight {
                     library.notice(format!(
@@ -241,9 +285,15 @@ impl ObjectCache {
         }
         let volume = match &source.volume {
             Some(path) => library.load_volume(path)?,
-            None => {
-                library.volume().map_err(|_| Error::value("iso, label", "need a volume, and the scene has none; name one with `volume`"))?.clone()
-            }
+            None => library
+                .volume()
+                .map_err(|_| {
+                    Error::value(
+                        "iso, label",
+                        "need a volume, and the scene has none; name one with `volume`",
+                    )
+                })?
+                .clone(),
         };
         if let Some(path) = &source.volume {
             library.note_distance("the volume", &library.path(path), &volume);
@@ -253,17 +303,30 @@ impl ObjectCache {
                 Some(grid) => Ok(grid),
                 None => {
                     let [low, high] = volume.range;
-                    let problem = format!("{}: the volume has no surface at {iso}; its values range from {low} to {high}", source.label(0));
+                    let problem = format!(
+                        "{}: the volume has no surface at {iso}; its values range from {low} to {high}",
+                        source.label(0)
+                    );
                     library.notice(problem);
                     return Ok(Arc::new(nothing_within(&volume.bounds_in_world())));
                 }
             },
-            None => of_region(&volume, &RegionSource::Labels(&source.label), true)
-                .ok_or_else(|| Error::value("label", format!("no surface has the labels {:?}: no voxel has them, or all do", source.label))),
+            None => of_region(&volume, &RegionSource::Labels(&source.label), true).ok_or_else(|| {
+                Error::value(
+                    "label",
+                    format!(
+                        "no surface has the labels {:?}: no voxel has them, or all do",
+                        source.label
+                    ),
+                )
+            }),
         }?;
         let grid = grid.closed_at_faces();
         if !grid.distance_mm.iter().any(|d| *d > 0.0) {
-            return Err(Error::value("iso, label", "the region is too thin to have an interior"));
+            return Err(Error::value(
+                "iso, label",
+                "the region is too thin to have an interior",
+            ));
         }
         let grid = Arc::new(grid);
         lock(&self.fields).insert(key, grid.clone(), MAX_CACHED_FIELD_BYTES);
@@ -273,11 +336,21 @@ impl ObjectCache {
 
 /// The visible surfaces of a scene: its meshes, and the volume's own if the mode requires it.
 pub fn shown_surfaces(scene: &Scene, volume: &Volume) -> Vec<MeshSource> {
-    let numbered = scene.mesh.iter().enumerate().map(|(n, m)| MeshSource { name: Some(m.label(n)), ..m.clone() });
+    let numbered = scene.mesh.iter().enumerate().map(|(n, m)| MeshSource {
+        name: Some(m.label(n)),
+        ..m.clone()
+    });
     let mut all: Vec<MeshSource> = numbered.filter(|m| !m.hidden).collect();
-    if scene.render.mode == Mode::Surface && scene.volume.is_some() && (scene.mesh.is_empty() || scene.surface.iso.is_some()) {
+    if scene.render.mode == Mode::Surface
+        && scene.volume.is_some()
+        && (scene.mesh.is_empty() || scene.surface.iso.is_some())
+    {
         let iso = scene.surface.iso.unwrap_or_else(|| volume.body_threshold());
-        all.push(MeshSource { iso: Some(iso), name: Some("volume".into()), ..MeshSource::default() });
+        all.push(MeshSource {
+            iso: Some(iso),
+            name: Some("volume".into()),
+            ..MeshSource::default()
+        });
     }
     all
 }
@@ -303,7 +376,11 @@ mod tests {
             entries.insert(name.into(), field(), 4 * 32);
             assert!(entries.get(name).is_some());
         }
-        assert!(entries.get("a").is_none() && entries.get("b").is_none() && entries.get("c").is_some(), "{}", entries.0.len());
+        assert!(
+            entries.get("a").is_none() && entries.get("b").is_none() && entries.get("c").is_some(),
+            "{}",
+            entries.0.len()
+        );
         assert!(Arc::ptr_eq(&shown, &entries.get("shown").unwrap_or_else(field)));
     }
 }

@@ -86,7 +86,11 @@ impl Assets {
             };
             object().map_err(|e| e.within(&source.label(n)))
         });
-        Ok(Surfaces { objects: objects.collect::<Result<_>>()?, steps: general.steps, threshold: general.threshold })
+        Ok(Surfaces {
+            objects: objects.collect::<Result<_>>()?,
+            steps: general.steps,
+            threshold: general.threshold,
+        })
     }
 
     /// Resolves surface `n` of a scene. `slopes` are those of the stack, computed on first use.
@@ -104,22 +108,35 @@ impl Assets {
         let only_triangles = source.representation() == Representation::Triangles;
         let untouched = source.rigid || (stack.is_empty() && cuts.is_empty());
         let both = has_two_stages(source, general, look.model);
-        let triangles = if only_triangles || both { Some(self.objects.triangles(&self.library, source)?) } else { None };
+        let triangles = if only_triangles || both {
+            Some(self.objects.triangles(&self.library, source)?)
+        } else {
+            None
+        };
         let in_boxes = triangles.as_ref().filter(|_| both && cuts.is_empty());
         let region = in_boxes.map(|t| field_region(&t.mesh.bounds(), source, general, stack));
         let nothing_to_cast = both && (untouched || region.is_some_and(|r| r.is_empty()));
         let implicit = if only_triangles || nothing_to_cast {
             None
         } else {
-            Some(self.objects.implicit(&self.library, source, general, region, &Watch::NONE)?)
+            Some(
+                self.objects
+                    .implicit(&self.library, source, general, region, &Watch::NONE)?,
+            )
         };
         let bounds = match (&implicit, &triangles) {
             (Some(i), _) => i.bounds(),
             (None, Some(t)) => t.mesh.bounds(),
             (None, None) => Bounds::EMPTY,
         };
-        let cell_mm = implicit.as_ref().map_or(bounds.size().max_element() / 128.0, Implicit::cell_mm);
-        let thickness_mm = if look.model == CutModel::Thick { look.thickness.unwrap_or(bounds.size().max_element() / 40.0) } else { 0.0 };
+        let cell_mm = implicit
+            .as_ref()
+            .map_or(bounds.size().max_element() / 128.0, Implicit::cell_mm);
+        let thickness_mm = if look.model == CutModel::Thick {
+            look.thickness.unwrap_or(bounds.size().max_element() / 40.0)
+        } else {
+            0.0
+        };
         let stage = match (&implicit, both) {
             (None, _) => Stage::Triangles,
             (Some(_), true) => Stage::Both(general.seam * cell_mm),
@@ -138,8 +155,14 @@ impl Assets {
             skipping: scene.render.empty_space_skipping,
         };
         let cells = self.objects.cells.of(&casting, slopes);
-        let deformers =
-            if triangles.is_some() { deformers(&source.deformer, &self.objects.placed(&self.library, source)?.bounds())? } else { Vec::new() };
+        let deformers = if triangles.is_some() {
+            deformers(
+                &source.deformer,
+                &self.objects.placed(&self.library, source)?.bounds(),
+            )?
+        } else {
+            Vec::new()
+        };
         Ok(SurfaceObject {
             name: source.label(n),
             look,
@@ -162,13 +185,21 @@ impl Assets {
 fn has_two_stages(source: &MeshSource, general: &SurfaceSettings, model: CutModel) -> bool {
     // The inner wall of a thick skin is not part of the triangles: such a surface is rendered
     // entirely by rays.
-    general.two_stage && source.path.is_some() && source.representation() == Representation::Field && model != CutModel::Thick
+    general.two_stage
+        && source.path.is_some()
+        && source.representation() == Representation::Field
+        && model != CutModel::Thick
 }
 
 /// The part of a mesh's box in which two stages need the field, mm: where the content of the
 /// deformations' boxes comes from.
 fn field_region(mesh: &Bounds, source: &MeshSource, general: &SurfaceSettings, stack: &Stack) -> Bounds {
     let cell = cell_of(mesh, source.resolution.unwrap_or(general.resolution));
-    let part = stack.maps().iter().map(|m| stack.source_bounds(&m.bounds_in_world()).0).fold(Bounds::EMPTY, |a, b| a.union(&b));
-    part.grown((4.0 + general.seam) * cell).intersection(&mesh.grown(0.99 * MARGIN * cell))
+    let part = stack
+        .maps()
+        .iter()
+        .map(|m| stack.source_bounds(&m.bounds_in_world()).0)
+        .fold(Bounds::EMPTY, |a, b| a.union(&b));
+    part.grown((4.0 + general.seam) * cell)
+        .intersection(&mesh.grown(0.99 * MARGIN * cell))
 }

@@ -84,7 +84,11 @@ impl<'a> Prepared<'a> {
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;
         let reference_mm = assets.volume.spacing_mm().min_element() as f32;
-        let spacing = SampleSpacing { step_mm: settings.step * reference_mm, reference_mm, blend_mm: blend_mm(settings.step, reference_mm) };
+        let spacing = SampleSpacing {
+            step_mm: settings.step * reference_mm,
+            reference_mm,
+            blend_mm: blend_mm(settings.step, reference_mm),
+        };
         let deformed = stages.time("maps", || -> Result<_> {
             let deformed = Deformed::in_view(scene, assets, &view, options)?;
             if options.accelerator.needs_texels() {
@@ -93,12 +97,27 @@ impl<'a> Prepared<'a> {
             Ok(deformed)
         })?;
         view.step_back_from(&deformed.stack.deformed_bounds(&scene_box), spacing.step_mm);
-        let surfaces = stages.time("surfaces", || assets.surfaces(scene, &deformed.stack, &deformed.cuts))?;
-        let volume = stages.time("macrocells", || VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options))?;
+        let surfaces = stages.time("surfaces", || {
+            assets.surfaces(scene, &deformed.stack, &deformed.cuts)
+        })?;
+        let volume = stages.time("macrocells", || {
+            VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options)
+        })?;
         let light = scene.light.clone();
         let to_light = to_light(&light, &view);
-        let Deformed { stack, cuts, composition, proxy_mesh } = deformed;
-        let frame = Frame { view, size: settings.size.map(|n| n * settings.antialias), spacing, proxy: volume.macrocells.occupied, to_light };
+        let Deformed {
+            stack,
+            cuts,
+            composition,
+            proxy_mesh,
+        } = deformed;
+        let frame = Frame {
+            view,
+            size: settings.size.map(|n| n * settings.antialias),
+            spacing,
+            proxy: volume.macrocells.occupied,
+            to_light,
+        };
         Ok(Self {
             volumes: vec![volume],
             surfaces,
@@ -128,7 +147,9 @@ impl<'a> Prepared<'a> {
 
     /// Whether cut faces are painted with the scan's grey value.
     pub fn grey_faces(&self) -> bool {
-        self.settings.cut_faces == CutFaces::Grey && self.volume().blend == Blend::Composite && (!self.cuts.is_empty() || !self.stack.is_empty())
+        self.settings.cut_faces == CutFaces::Grey
+            && self.volume().blend == Blend::Composite
+            && (!self.cuts.is_empty() || !self.stack.is_empty())
     }
 
     /// Whether colour and opacity are those of segments between samples.
@@ -170,7 +191,11 @@ impl<'a> Prepared<'a> {
             return None;
         }
         let sampled = self.volume().sampled;
-        if sampled.count_picture() > 1 { sampled.make_gradients() } else { sampled.gradients() }
+        if sampled.count_picture() > 1 {
+            sampled.make_gradients()
+        } else {
+            sampled.gradients()
+        }
     }
 
     /// Computes the gradients of all voxels immediately, if pictures use them, rather than for the
@@ -199,7 +224,10 @@ impl<'a> Prepared<'a> {
 /// The unit vector towards a light, world.
 fn to_light(light: &Light, view: &ViewFrame) -> Vec3 {
     let d = Vec3::from(light.direction);
-    let to_light =
-        if light.follows_camera { normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z } else { d };
+    let to_light = if light.follows_camera {
+        normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z
+    } else {
+        d
+    };
     normalize_or(to_light, -view.forward)
 }

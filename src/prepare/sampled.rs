@@ -30,7 +30,13 @@ impl SampledVolume {
     /// Derives the data that every picture needs.
     pub fn new(grid: VoxelGrid) -> Self {
         let bounds = value_pyramid_of(&grid);
-        Self { grid, bounds, gradients: OnceLock::new(), pictures: AtomicUsize::new(0), macrocells: Mutex::default() }
+        Self {
+            grid,
+            bounds,
+            gradients: OnceLock::new(),
+            pictures: AtomicUsize::new(0),
+            macrocells: Mutex::default(),
+        }
     }
 
     /// [`Macrocells::new`], or a cached grid of the same inputs: empty space does not depend on the
@@ -38,7 +44,13 @@ impl SampledVolume {
     ///
     /// # Errors
     /// Any error of a device that computes them.
-    pub fn macrocells(&self, bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria, device: &dyn Accelerator) -> Result<Arc<Macrocells>> {
+    pub fn macrocells(
+        &self,
+        bounds: Bounds,
+        voxel_mm: f32,
+        contents: &VisibilityCriteria,
+        device: &dyn Accelerator,
+    ) -> Result<Arc<Macrocells>> {
         let inputs = MacrocellKey::of(bounds, voxel_mm, contents);
         // Entries are only added as a whole.
         let lock = || self.macrocells.lock().unwrap_or_else(PoisonError::into_inner);
@@ -74,7 +86,9 @@ impl SampledVolume {
 
     /// Computes the gradients of all voxels, unless they exist or do not fit into memory.
     pub fn make_gradients(&self) -> Option<&GradientVolume> {
-        self.gradients.get_or_init(|| GradientVolume::new(&self.grid)).as_ref()
+        self.gradients
+            .get_or_init(|| GradientVolume::new(&self.grid))
+            .as_ref()
     }
 
     /// The gradients of all voxels, if they have been computed.
@@ -104,6 +118,9 @@ fn value_pyramid_of_voxels<T: Voxel>(grid: &VoxelGrid, voxels: &[T]) -> MinMaxPy
         }
         let (a, b) = (low * grid.scale + grid.offset, high * grid.scale + grid.offset);
         // A negative slope reverses the range.
-        ChannelRange { min: [a.min(b)], max: [a.max(b)] }
+        ChannelRange {
+            min: [a.min(b)],
+            max: [a.max(b)],
+        }
     })
 }

@@ -101,7 +101,11 @@ pub(super) struct SurfaceCellsCache(Mutex<Vec<(SurfaceCellsKey, Arc<SurfaceCells
 
 impl SurfaceCellsCache {
     /// The cells of an object. `slopes` are those of the scene's stack, computed on first use.
-    pub fn of<'a>(&self, cells_inputs: &SurfaceCellsInputs<'a>, slopes: &OnceLock<LipschitzBounds<'a>>) -> Arc<SurfaceCells> {
+    pub fn of<'a>(
+        &self,
+        cells_inputs: &SurfaceCellsInputs<'a>,
+        slopes: &OnceLock<LipschitzBounds<'a>>,
+    ) -> Arc<SurfaceCells> {
         let inputs = cells_inputs.inputs();
         // Entries are only added as a whole.
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -130,17 +134,49 @@ impl SurfaceCellsCache {
 
 impl<'a> SurfaceCellsInputs<'a> {
     fn inputs(&self) -> SurfaceCellsKey {
-        let Self { bounds, stack, cuts, model, thickness_mm, skip_cuts, boxes_only, cell_mm, skipping, .. } = *self;
+        let Self {
+            bounds,
+            stack,
+            cuts,
+            model,
+            thickness_mm,
+            skip_cuts,
+            boxes_only,
+            cell_mm,
+            skipping,
+            ..
+        } = *self;
         let solid = self.implicit.as_ref().map(SolidIdentity::from);
         // Without rays nothing else affects the cells.
-        let (stack, cuts) = if solid.is_some() { (stack.cloned(), cuts.clone()) } else { Default::default() };
-        SurfaceCellsKey { solid, bounds, stack, cuts, model, thickness_mm, skip_cuts, boxes_only, cell_mm, skipping }
+        let (stack, cuts) = if solid.is_some() {
+            (stack.cloned(), cuts.clone())
+        } else {
+            Default::default()
+        };
+        SurfaceCellsKey {
+            solid,
+            bounds,
+            stack,
+            cuts,
+            model,
+            thickness_mm,
+            skip_cuts,
+            boxes_only,
+            cell_mm,
+            skipping,
+        }
     }
 
     fn cells(&self, slopes: &OnceLock<LipschitzBounds<'a>>) -> SurfaceCells {
-        let deformed = self.stack.map_or(self.bounds, |s| s.deformed_bounds(&self.bounds)).grown(0.5 * self.cell_mm);
+        let deformed = self
+            .stack
+            .map_or(self.bounds, |s| s.deformed_bounds(&self.bounds))
+            .grown(0.5 * self.cell_mm);
         if deformed.is_empty() || self.implicit.is_none() {
-            return SurfaceCells { grid: Macrocells::solid(Bounds::EMPTY), slope: vec![1.0] };
+            return SurfaceCells {
+                grid: Macrocells::solid(Bounds::EMPTY),
+                slope: vec![1.0],
+            };
         }
         let edge = (deformed.size().max_element() / CELLS).max(self.cell_mm);
         // Without skipping every cell counts as occupied; its slope is needed nevertheless.
@@ -155,7 +191,9 @@ impl<'a> SurfaceCellsInputs<'a> {
             }
         };
         let grid = Macrocells::classified(CellGrid::new(deformed, edge), visibility, |_| true);
-        let slopes = self.stack.map(|stack| slopes.get_or_init(|| LipschitzBounds::new(stack)));
+        let slopes = self
+            .stack
+            .map(|stack| slopes.get_or_init(|| LipschitzBounds::new(stack)));
         let slope = (0..grid.distance.len())
             .into_par_iter()
             .map(|n| match slopes {
@@ -168,13 +206,23 @@ impl<'a> SurfaceCellsInputs<'a> {
 
     /// Whether a ray can hit the surface in a box of the deformed scene.
     fn visible(&self, deformed: &Bounds) -> bool {
-        let Some(implicit) = &self.implicit else { return false };
-        let Some(stack) = self.stack else { return self.visible_in_source(implicit, deformed, true) };
+        let Some(implicit) = &self.implicit else {
+            return false;
+        };
+        let Some(stack) = self.stack else {
+            return self.visible_in_source(implicit, deformed, true);
+        };
         let [min_distance, max_distance] = self.cuts.bounds(deformed);
         if self.skip_cuts && max_distance < 0.0 {
             return false;
         }
-        if self.boxes_only && self.cuts.is_empty() && !stack.maps().iter().any(|m| !m.bounds_in_world().intersection(deformed).is_empty()) {
+        if self.boxes_only
+            && self.cuts.is_empty()
+            && !stack
+                .maps()
+                .iter()
+                .any(|m| !m.bounds_in_world().intersection(deformed).is_empty())
+        {
             return false;
         }
         let mut visible = false;
@@ -195,14 +243,19 @@ impl<'a> SurfaceCellsInputs<'a> {
             return true;
         }
         // Interpolation between the points of a field deviates by less than a cell.
-        let (f, r) = (implicit.value(source.center()), source.size().length() * 0.5 + self.cell_mm);
+        let (f, r) = (
+            implicit.value(source.center()),
+            source.size().length() * 0.5 + self.cell_mm,
+        );
         if f + r < 0.0 {
             return false;
         }
         // A thin shell has no inside, whatever cuts it.
         whole |= self.model == CutModel::Hollow;
         match self.model {
-            CutModel::Thick => !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm)),
+            CutModel::Thick => {
+                !(f - r > self.thickness_mm || (whole && f - r > 0.0 && f + r < self.thickness_mm))
+            }
             _ => !(whole && f - r > 0.0),
         }
     }
@@ -218,9 +271,12 @@ mod tests {
     /// a few deformations stay cached, with their maps.
     #[test]
     fn cells_are_kept_while_nothing_changes() {
-        let maps: Vec<Arc<DisplacementMap>> = (0..10).map(|_| Arc::new(DisplacementMap::identity([4; 3]))).collect();
+        let maps: Vec<Arc<DisplacementMap>> = (0..10)
+            .map(|_| Arc::new(DisplacementMap::identity([4; 3])))
+            .collect();
         let stack = |n: usize, x: f32| {
-            let placement = Placement::new(Vec3::X * x, Vec3::splat(30.0), Vec3::ZERO).unwrap_or_else(|e| panic!("{e}"));
+            let placement =
+                Placement::new(Vec3::X * x, Vec3::splat(30.0), Vec3::ZERO).unwrap_or_else(|e| panic!("{e}"));
             Stack::new(vec![PlacedMap::new(maps[n].clone(), placement)])
         };
         let (entries, cuts) = (SurfaceCellsCache::default(), CutShapes::default());
@@ -241,7 +297,10 @@ mod tests {
         };
         let first = cells_of(&stack(0, 0.0), 1.0);
         assert!(Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 1.0)));
-        assert!(!Arc::ptr_eq(&first, &cells_of(&stack(0, 1.0), 1.0)) && !Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 2.0)));
+        assert!(
+            !Arc::ptr_eq(&first, &cells_of(&stack(0, 1.0), 1.0))
+                && !Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 2.0))
+        );
         assert!(Arc::ptr_eq(&first, &cells_of(&stack(0, 0.0), 1.0)));
         (1..10).for_each(|n| drop(cells_of(&stack(n, 0.0), 1.0)));
         let counts: Vec<usize> = maps.iter().map(Arc::strong_count).collect();

@@ -55,10 +55,37 @@ pub struct MacrocellKey {
 impl MacrocellKey {
     /// The key for a call of [`Macrocells::new`](super::Macrocells::new).
     pub fn of(bounds: Bounds, voxel_mm: f32, contents: &VisibilityCriteria) -> Self {
-        let VisibilityCriteria { stack, cuts, iso, grey_faces, lookback_mm, cut_lookback_mm, cut_margin_mm, table, blend, .. } = *contents;
+        let VisibilityCriteria {
+            stack,
+            cuts,
+            iso,
+            grey_faces,
+            lookback_mm,
+            cut_lookback_mm,
+            cut_margin_mm,
+            table,
+            blend,
+            ..
+        } = *contents;
         let (stack, cuts) = (stack.clone(), cuts.clone());
-        let (depths, table_mapping) = (table.entries.iter().map(|e| e[3]).collect(), [table.scale, table.offset]);
-        Self { bounds, voxel_mm, lookback_mm, cut_lookback_mm, cut_margin_mm, stack, cuts, iso, grey_faces, blend, depths, table_mapping }
+        let (depths, table_mapping) = (
+            table.entries.iter().map(|e| e[3]).collect(),
+            [table.scale, table.offset],
+        );
+        Self {
+            bounds,
+            voxel_mm,
+            lookback_mm,
+            cut_lookback_mm,
+            cut_margin_mm,
+            stack,
+            cuts,
+            iso,
+            grey_faces,
+            blend,
+            depths,
+            table_mapping,
+        }
     }
 }
 
@@ -77,13 +104,20 @@ impl VisibilityCriteria<'_> {
     /// How far outside a box the content shown by its samples may lie, mm.
     pub fn reach_mm(&self) -> f32 {
         let cuts = self.stack.has_cuts() || !self.cuts.is_empty();
-        if cuts { self.cut_lookback_mm.max(self.lookback_mm) } else { self.lookback_mm }
+        if cuts {
+            self.cut_lookback_mm.max(self.lookback_mm)
+        } else {
+            self.lookback_mm
+        }
     }
 
     /// The visibility of a box of the deformed scene, including what its samples read further back.
     pub(super) fn visibility(&self, deformed: &Bounds) -> BoxVisibility {
         let (visibility, is_near_cut) = self.box_visibility(&deformed.grown(self.lookback_mm));
-        if visibility == BoxVisibility::Invisible && self.cut_lookback_mm > self.lookback_mm && (is_near_cut || self.is_near_cut_shape(deformed)) {
+        if visibility == BoxVisibility::Invisible
+            && self.cut_lookback_mm > self.lookback_mm
+            && (is_near_cut || self.is_near_cut_shape(deformed))
+        {
             return self.box_visibility(&deformed.grown(self.cut_lookback_mm)).0;
         }
         visibility
@@ -101,7 +135,8 @@ impl VisibilityCriteria<'_> {
     /// in front of them.
     pub(super) fn near_cuts(&self, deformed: &Bounds) -> bool {
         let reached = deformed.grown(self.cut_lookback_mm);
-        self.stack.mask_varies(&reached) || (!self.cuts.is_empty() && self.cuts.bounds(&reached)[0] < self.cut_margin_mm)
+        self.stack.mask_varies(&reached)
+            || (!self.cuts.is_empty() && self.cuts.bounds(&reached)[0] < self.cut_margin_mm)
     }
 
     /// The visibility of a box of the deformed scene itself, and whether a mask varies there.
@@ -111,12 +146,14 @@ impl VisibilityCriteria<'_> {
             return (BoxVisibility::Invisible, false);
         }
         let (mut nothing, mut throughout, mut is_near_cut) = (true, true, false);
-        self.stack.source_parts(deformed, &mut |source, [min_alpha, max_alpha]| {
-            let visibility = self.source_visibility(source, min_distance >= 0.0 && min_alpha >= 0.5, max_alpha);
-            nothing &= visibility == BoxVisibility::Invisible;
-            throughout &= visibility == BoxVisibility::VisibleEverywhere;
-            is_near_cut |= min_alpha < 1.0;
-        });
+        self.stack
+            .source_parts(deformed, &mut |source, [min_alpha, max_alpha]| {
+                let visibility =
+                    self.source_visibility(source, min_distance >= 0.0 && min_alpha >= 0.5, max_alpha);
+                nothing &= visibility == BoxVisibility::Invisible;
+                throughout &= visibility == BoxVisibility::VisibleEverywhere;
+                is_near_cut |= min_alpha < 1.0;
+            });
         let visibility = match (nothing, throughout) {
             (true, _) => BoxVisibility::Invisible,
             (_, true) => BoxVisibility::VisibleEverywhere,
@@ -136,7 +173,11 @@ impl VisibilityCriteria<'_> {
             return BoxVisibility::Invisible;
         }
         let throughout = |all: bool| {
-            if all && whole && self.voxel_box.contains(&in_voxel) { BoxVisibility::VisibleEverywhere } else { BoxVisibility::MaybeVisible }
+            if all && whole && self.voxel_box.contains(&in_voxel) {
+                BoxVisibility::VisibleEverywhere
+            } else {
+                BoxVisibility::MaybeVisible
+            }
         };
         if self.blend != Blend::Composite {
             return throughout(true);
@@ -147,8 +188,16 @@ impl VisibilityCriteria<'_> {
         let values = self.value_pyramid.query(inside.min, inside.max);
         let ([low], [high]) = (values.min, values.max);
         if let Some(iso) = self.iso {
-            return if high < iso { BoxVisibility::Invisible } else { throughout(low >= iso) };
+            return if high < iso {
+                BoxVisibility::Invisible
+            } else {
+                throughout(low >= iso)
+            };
         }
-        if self.table.max_depth(low, high) <= 0.0 { BoxVisibility::Invisible } else { throughout(self.table.is_visible_throughout(low, high)) }
+        if self.table.max_depth(low, high) <= 0.0 {
+            BoxVisibility::Invisible
+        } else {
+            throughout(self.table.is_visible_throughout(low, high))
+        }
     }
 }

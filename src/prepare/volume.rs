@@ -62,7 +62,10 @@ impl<'a> Classifier<'a> {
         let fallback = scene.default_preset(volume);
         let function = transfer.resolve(volume, fallback)?;
         // Labels in their colours, unless a curve over the labels themselves is set.
-        let plain = transfer.points.is_empty() && transfer.window.is_none() && transfer.level.is_none() && function.blend == Blend::Composite;
+        let plain = transfer.points.is_empty()
+            && transfer.window.is_none()
+            && transfer.level.is_none()
+            && function.blend == Blend::Composite;
         let by_label = plain
             && transfer.preset.as_deref().unwrap_or(fallback) == "labels"
             && scene.render.iso.is_none()
@@ -70,12 +73,24 @@ impl<'a> Classifier<'a> {
         if let Some(sampled) = by_label.then(|| assets.sampled_labels()).flatten() {
             let function = function.of_presence();
             let table = TransferTable::new(&function, [0.0, 1.0]);
-            return Ok(Self { sampled, colors: sampled.grid.colors.as_ref(), function, table });
+            return Ok(Self {
+                sampled,
+                colors: sampled.grid.colors.as_ref(),
+                function,
+                table,
+            });
         }
         let table = TransferTable::new(&function, volume.range);
-        let own = transfer.own_colors.unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
+        let own = transfer
+            .own_colors
+            .unwrap_or(transfer.preset.as_deref().is_none_or(|p| p == OWN_COLORS));
         let sampled = assets.sampled();
-        Ok(Self { sampled, colors: sampled.grid.colors.as_ref().filter(|_| own), function, table })
+        Ok(Self {
+            sampled,
+            colors: sampled.grid.colors.as_ref().filter(|_| own),
+            function,
+            table,
+        })
     }
 }
 
@@ -95,10 +110,18 @@ impl<'a> VolumeObject<'a> {
         let volume: &Volume = &assets.volume;
         let span = (volume.range[1] - volume.range[0]).max(f64::MIN_POSITIVE);
         let normalised = |v: f64| ((v - volume.range[0]) / span) as f32;
-        let Classifier { sampled, colors, function, table } = classifier;
+        let Classifier {
+            sampled,
+            colors,
+            function,
+            table,
+        } = classifier;
         let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
         if !voxel_from_world.is_finite() {
-            return Err(Error::value("volume", "its voxel axes are singular; the file's geometry cannot be used"));
+            return Err(Error::value(
+                "volume",
+                "its voxel axes are singular; the file's geometry cannot be used",
+            ));
         }
         let mut object = Self {
             grid: &sampled.grid,
@@ -109,7 +132,9 @@ impl<'a> VolumeObject<'a> {
             table,
             blend: function.blend,
             iso: scene.render.iso.map(normalised),
-            grey_window: volume.window(scene.transfer.window, scene.transfer.level).map(normalised),
+            grey_window: volume
+                .window(scene.transfer.window, scene.transfer.level)
+                .map(normalised),
             macrocells: Arc::new(Macrocells::solid(Bounds::EMPTY)),
             is_present: assets.has_volume,
             value_range: volume.range,
@@ -143,7 +168,11 @@ impl<'a> VolumeObject<'a> {
             cuts: &deformed.cuts,
             iso: self.iso,
             grey_faces,
-            lookback_mm: if self.iso.is_some() || grey_faces || settings.preintegrated { step_back_mm } else { 0.0 },
+            lookback_mm: if self.iso.is_some() || grey_faces || settings.preintegrated {
+                step_back_mm
+            } else {
+                0.0
+            },
             cut_lookback_mm: step_back_mm,
             cut_margin_mm: cut_margin_mm(spacing.blend_mm, spacing.step_mm, slant),
             voxel_from_world: &self.voxel_from_world,
@@ -153,6 +182,11 @@ impl<'a> VolumeObject<'a> {
             blend: self.blend,
         };
         // Samples that read a step back may lie outside the box of the scene itself.
-        self.sampled.macrocells(bounds.grown(contents.reach_mm()), spacing.reference_mm, &contents, options.accelerator)
+        self.sampled.macrocells(
+            bounds.grown(contents.reach_mm()),
+            spacing.reference_mm,
+            &contents,
+            options.accelerator,
+        )
     }
 }

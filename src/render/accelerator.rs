@@ -24,10 +24,15 @@ impl Accelerator for Renderer {
     }
 
     fn map(&self, definition: MapDefinition, watch: &Watch) -> Result<Arc<DisplacementMap>> {
-        let Some(formula) = definition.formula().filter(|_| self.context.strategy.prepare && self.context.samples(&definition)) else {
+        let Some(formula) = definition
+            .formula()
+            .filter(|_| self.context.strategy.prepare && self.context.samples(&definition))
+        else {
             return DisplacementMap::of_watched(&definition, watch).map(Arc::new);
         };
-        let made = checked(&self.context.device.device, || self.context.sampled_map(&definition, &formula))?;
+        let made = checked(&self.context.device.device, || {
+            self.context.sampled_map(&definition, &formula)
+        })?;
         let map = Arc::new(DisplacementMap::from_device(definition, made.scale, made.whole));
         self.scene.maps.cache_map(&self.context, &map, made);
         Ok(map)
@@ -37,10 +42,19 @@ impl Accelerator for Renderer {
         !self.context.strategy.prepare
     }
 
-    fn classify(&self, cells: &CellGrid, contents: &VisibilityCriteria, volume: &VoxelGrid) -> Result<Option<Vec<CellState>>> {
+    fn classify(
+        &self,
+        cells: &CellGrid,
+        contents: &VisibilityCriteria,
+        volume: &VoxelGrid,
+    ) -> Result<Option<Vec<CellState>>> {
         if !self.context.strategy.prepare {
             return Ok(None);
         }
-        checked(&self.context.device.device, || self.scene.values.classified(&self.context, &self.scene.maps, cells, contents, volume))
+        checked(&self.context.device.device, || {
+            self.scene
+                .values
+                .classified(&self.context, &self.scene.maps, cells, contents, volume)
+        })
     }
 }

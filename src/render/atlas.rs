@@ -60,7 +60,13 @@ pub(super) struct AtlasPacking {
 impl AtlasPacking {
     /// Takes the free place with the best fit.
     fn take(&mut self, size: [u32; 3]) -> Option<[u32; 3]> {
-        let best = self.free.iter().enumerate().filter(|(_, r)| r.holds(size)).min_by_key(|(_, r)| r.texels()).map(|(n, _)| n)?;
+        let best = self
+            .free
+            .iter()
+            .enumerate()
+            .filter(|(_, r)| r.holds(size))
+            .min_by_key(|(_, r)| r.texels())
+            .map(|(n, _)| n)?;
         let region = self.free.swap_remove(best);
         self.free.extend(region.rest(size).filter(|r| r.texels() > 0));
         Some(region.origin)
@@ -69,17 +75,33 @@ impl AtlasPacking {
     /// Grows along the cheapest axis until a box of `size` is free; false if an edge would exceed
     /// `most`.
     fn grow_for(&mut self, size: [u32; 3], most: u32) -> bool {
-        let grown = |axis: usize| -> [u32; 3] { std::array::from_fn(|a| if a == axis { self.size[a] + size[a] } else { self.size[a].max(size[a]) }) };
+        let grown = |axis: usize| -> [u32; 3] {
+            std::array::from_fn(|a| {
+                if a == axis {
+                    self.size[a] + size[a]
+                } else {
+                    self.size[a].max(size[a])
+                }
+            })
+        };
         let volume = |s: [u32; 3]| s.iter().map(|n| u64::from(*n)).product::<u64>();
         let fits = |axis: &usize| grown(*axis).iter().all(|n| *n <= most);
-        let Some(along) = (0..3).filter(fits).min_by_key(|axis| volume(grown(*axis))) else { return false };
+        let Some(along) = (0..3).filter(fits).min_by_key(|axis| volume(grown(*axis))) else {
+            return false;
+        };
         let to = grown(along);
         // The new space is added as one slab per axis. The slab that holds the box is the last one
         // and spans all the others.
         for axis in [(along + 1) % 3, (along + 2) % 3, along] {
             let slab = TexelBox {
                 origin: std::array::from_fn(|a| if a == axis { self.size[a] } else { 0 }),
-                size: std::array::from_fn(|a| if a == axis { to[a] - self.size[a] } else { self.size[a] }),
+                size: std::array::from_fn(|a| {
+                    if a == axis {
+                        to[a] - self.size[a]
+                    } else {
+                        self.size[a]
+                    }
+                }),
             };
             if slab.texels() > 0 {
                 self.free.push(slab);
@@ -117,7 +139,11 @@ impl Atlas {
 
     /// A place for a map without growing, if there is one: free space, or the place of an unused
     /// map of the same size.
-    pub(super) fn place(&mut self, map: &Arc<DisplacementMap>, in_use: &[Arc<DisplacementMap>]) -> Option<TexelBox> {
+    pub(super) fn place(
+        &mut self,
+        map: &Arc<DisplacementMap>,
+        in_use: &[Arc<DisplacementMap>],
+    ) -> Option<TexelBox> {
         let size = texels_of(map);
         let unused = |e: &AtlasEntry| e.region.size == size && !in_use.iter().any(|m| Arc::ptr_eq(m, &e.map));
         if let Some(n) = self.entries.iter().position(unused) {
@@ -131,7 +157,13 @@ impl Atlas {
         let mut packing = AtlasPacking::default();
         let mut order: Vec<usize> = (0..maps.len()).collect();
         order.sort_by_key(|n| std::cmp::Reverse(maps[*n].size.iter().product::<usize>()));
-        let mut regions = vec![TexelBox { origin: [0; 3], size: [0; 3] }; maps.len()];
+        let mut regions = vec![
+            TexelBox {
+                origin: [0; 3],
+                size: [0; 3]
+            };
+            maps.len()
+        ];
         for n in order {
             let size = texels_of(&maps[n]);
             let origin = match packing.take(size) {
@@ -166,9 +198,17 @@ mod tests {
             let mut packing = AtlasPacking::default();
             let mut taken: Vec<TexelBox> = Vec::new();
             for _ in 0..1 + round % 40 {
-                let size = if round % 3 == 0 { [64; 3] } else { [next(200), next(200), if round % 5 == 0 { 1 } else { next(200) }] };
-                let origin = packing.take(size).or_else(|| packing.grow_for(size, 2048).then(|| packing.take(size))?);
-                let Some(origin) = origin else { panic!("no place for {size:?} in {:?}", packing.size) };
+                let size = if round % 3 == 0 {
+                    [64; 3]
+                } else {
+                    [next(200), next(200), if round % 5 == 0 { 1 } else { next(200) }]
+                };
+                let origin = packing
+                    .take(size)
+                    .or_else(|| packing.grow_for(size, 2048).then(|| packing.take(size))?);
+                let Some(origin) = origin else {
+                    panic!("no place for {size:?} in {:?}", packing.size)
+                };
                 let region = TexelBox { origin, size };
                 assert!(taken.iter().all(|t| !overlap(t, &region)), "{region:?}");
                 assert!((0..3).all(|a| origin[a] + size[a] <= packing.size[a]));
@@ -176,7 +216,10 @@ mod tests {
             }
             let used: u64 = taken.iter().map(TexelBox::texels).sum();
             let all: u64 = packing.size.iter().map(|n| u64::from(*n)).product();
-            assert!(used <= all && (round % 3 != 0 || all <= 2 * used), "{used} of {all}");
+            assert!(
+                used <= all && (round % 3 != 0 || all <= 2 * used),
+                "{used} of {all}"
+            );
             let free: u64 = packing.free.iter().map(TexelBox::texels).sum();
             assert_eq!(used + free, all);
         }

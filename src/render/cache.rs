@@ -44,9 +44,22 @@ pub(super) struct SceneBindings {
 
 impl SceneCache {
     /// Uploads the inputs of the shared shader functions that have changed.
-    pub(super) fn bindings(&mut self, context: &Context, scene: &Prepared, nothing: Layer) -> Result<SceneBindings> {
-        let volume = self.volume.texture.as_ref().ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
-        let frame = FrameUniform::new(scene, [volume.scale, volume.offset, volume.gradient_scale(scene)], volume.texture_span_voxels);
+    pub(super) fn bindings(
+        &mut self,
+        context: &Context,
+        scene: &Prepared,
+        nothing: Layer,
+    ) -> Result<SceneBindings> {
+        let volume = self
+            .volume
+            .texture
+            .as_ref()
+            .ok_or_else(|| Error::Gpu("no volume was uploaded".into()))?;
+        let frame = FrameUniform::new(
+            scene,
+            [volume.scale, volume.offset, volume.gradient_scale(scene)],
+            volume.texture_span_voxels,
+        );
         let (maps, placed, replaced) = self.maps.upload_maps(context, &scene.stack)?;
         if replaced {
             context.forget_groups();
@@ -55,26 +68,46 @@ impl SceneCache {
         for (shape, cut) in shapes.iter_mut().zip(scene.cuts.primitives()) {
             *shape = CutShapeUniform::new(cut);
         }
-        let contents: [&[u8]; 3] =
-            [bytemuck::bytes_of(&frame), bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes)];
+        let contents: [&[u8]; 3] = [
+            bytemuck::bytes_of(&frame),
+            bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed),
+            bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes),
+        ];
         let uniforms = match &self.uniforms {
             Some(buffers) => {
-                buffers.iter().zip(contents).for_each(|(buffer, bytes)| context.device.queue.write_buffer(buffer, 0, bytes));
+                buffers
+                    .iter()
+                    .zip(contents)
+                    .for_each(|(buffer, bytes)| context.device.queue.write_buffer(buffer, 0, bytes));
                 buffers.clone()
             }
             None => {
-                let buffers = contents.map(|bytes| context.buffer_of("uniforms", bytes, BufferUsages::UNIFORM));
+                let buffers =
+                    contents.map(|bytes| context.buffer_of("uniforms", bytes, BufferUsages::UNIFORM));
                 self.uniforms.insert(buffers).clone()
             }
         };
-        let (table, cells, preintegrated) =
-            (self.table(context, &scene.volume().table), self.cells(context, scene)?, self.preintegrated(context, scene));
-        Ok(SceneBindings { uniforms, table, cells, preintegrated, maps, nothing })
+        let (table, cells, preintegrated) = (
+            self.table(context, &scene.volume().table),
+            self.cells(context, scene)?,
+            self.preintegrated(context, scene),
+        );
+        Ok(SceneBindings {
+            uniforms,
+            table,
+            cells,
+            preintegrated,
+            maps,
+            nothing,
+        })
     }
 
     /// The macrocells' texture.
     fn cells(&mut self, context: &Context, scene: &Prepared) -> Result<wgpu::TextureView> {
-        let (size, blocks) = (scene.volume().macrocells.size.to_array().map(|n| n as usize), scene.volume().macrocells.blocks());
+        let (size, blocks) = (
+            scene.volume().macrocells.size.to_array().map(|n| n as usize),
+            scene.volume().macrocells.blocks(),
+        );
         let target = match self.cells.take() {
             Some((target, written)) if target.texture.size() == extent(size) => {
                 if written == blocks {
@@ -118,7 +151,11 @@ impl SceneCache {
             Some((target, _)) => target,
             None => RenderTexture::new(context.texture(&wgpu::TextureDescriptor {
                 label: Some("transfer function"),
-                size: wgpu::Extent3d { width: TABLE_ENTRIES as u32, height: 3, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d {
+                    width: TABLE_ENTRIES as u32,
+                    height: 3,
+                    depth_or_array_layers: 1,
+                },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
@@ -131,7 +168,11 @@ impl SceneCache {
         context.device.queue.write_texture(
             target.texture.as_image_copy(),
             bytemuck::cast_slice(&texels),
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(TABLE_ENTRIES as u32 * 16), rows_per_image: Some(3) },
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(TABLE_ENTRIES as u32 * 16),
+                rows_per_image: Some(3),
+            },
             target.texture.size(),
         );
         let view = target.view.clone();
@@ -144,7 +185,11 @@ impl SceneCache {
         let table_of = |edge: usize| {
             RenderTexture::new(context.texture(&wgpu::TextureDescriptor {
                 label: Some("pre-integrated transfer function"),
-                size: wgpu::Extent3d { width: edge as u32, height: edge as u32, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d {
+                    width: edge as u32,
+                    height: edge as u32,
+                    depth_or_array_layers: 1,
+                },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
@@ -171,7 +216,12 @@ impl SceneCache {
             None => table_of(PREINTEGRATED_SIZE),
         };
         let made = Preintegrated::new(&scene.volume().table, length);
-        let halves: Vec<u16> = made.entries.as_flattened().iter().map(|v| half::f16::from_f32(*v).to_bits()).collect();
+        let halves: Vec<u16> = made
+            .entries
+            .as_flattened()
+            .iter()
+            .map(|v| half::f16::from_f32(*v).to_bits())
+            .collect();
         context.tally.count(ResourceKind::TransferTable);
         context.device.queue.write_texture(
             target.texture.as_image_copy(),
@@ -189,13 +239,32 @@ impl SceneCache {
     }
 
     /// The bind group of the shared bindings and the layer behind.
-    pub(super) fn group(&mut self, context: &Context, shared: &SceneBindings, behind: Option<&Layer>) -> wgpu::BindGroup {
+    pub(super) fn group(
+        &mut self,
+        context: &Context,
+        shared: &SceneBindings,
+        behind: Option<&Layer>,
+    ) -> wgpu::BindGroup {
         let volume = self.volume.texture.as_ref().map_or(&shared.maps[0], |v| &v.view);
-        let colors = self.volume.texture.as_ref().and_then(|v| v.colors.as_ref()).unwrap_or(&shared.maps[0]);
-        let gradients = self.volume.texture.as_ref().and_then(|v| v.gradients.as_ref()).unwrap_or(&shared.maps[0]);
+        let colors = self
+            .volume
+            .texture
+            .as_ref()
+            .and_then(|v| v.colors.as_ref())
+            .unwrap_or(&shared.maps[0]);
+        let gradients = self
+            .volume
+            .texture
+            .as_ref()
+            .and_then(|v| v.gradients.as_ref())
+            .unwrap_or(&shared.maps[0]);
         let [color, distance] = behind.unwrap_or(&shared.nothing).views();
         // By binding number.
-        let mut views = vec![(2, volume.clone()), (4, shared.table.clone()), (5, shared.cells.clone())];
+        let mut views = vec![
+            (2, volume.clone()),
+            (4, shared.table.clone()),
+            (5, shared.cells.clone()),
+        ];
         views.extend([
             (15, color.clone()),
             (16, distance.clone()),
@@ -203,9 +272,18 @@ impl SceneCache {
             (18, shared.preintegrated.clone()),
             (19, gradients.clone()),
         ]);
-        views.extend(shared.maps.iter().enumerate().map(|(k, view)| (6 + k as u32, view.clone())));
+        views.extend(
+            shared
+                .maps
+                .iter()
+                .enumerate()
+                .map(|(k, view)| (6 + k as u32, view.clone())),
+        );
         let sampler = (3, wgpu::BindingResource::Sampler(&context.sampler));
-        let buffers = [0, 1, 14].into_iter().zip(&shared.uniforms).map(|(n, b)| (n, b.as_entire_binding()));
+        let buffers = [0, 1, 14]
+            .into_iter()
+            .zip(&shared.uniforms)
+            .map(|(n, b)| (n, b.as_entire_binding()));
         let others: Vec<_> = std::iter::once(sampler).chain(buffers).collect();
         context.cached_bind_group("scene", &context.shared_layout, views, &others)
     }

@@ -28,9 +28,17 @@ pub(super) struct ValueBoundsCache(Mutex<Option<ValueBounds>>);
 
 impl ValueBoundsCache {
     /// The nodes of a volume's bounds, and their levels.
-    fn value_bounds(&self, context: &Context, contents: &VisibilityCriteria, volume: &VoxelGrid) -> (wgpu::Buffer, Vec<[u32; 4]>) {
+    fn value_bounds(
+        &self,
+        context: &Context,
+        contents: &VisibilityCriteria,
+        volume: &VoxelGrid,
+    ) -> (wgpu::Buffer, Vec<[u32; 4]>) {
         let mut cached = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = cached.as_ref().filter(|v| v.voxels.identity() == volume.voxels.identity()) {
+        if let Some(found) = cached
+            .as_ref()
+            .filter(|v| v.voxels.identity() == volume.voxels.identity())
+        {
             return (found.nodes.clone(), found.levels.clone());
         }
         let (mut levels, mut nodes) = (Vec::new(), Vec::new());
@@ -39,8 +47,16 @@ impl ValueBoundsCache {
             levels.push([x, y, z, nodes.len() as u32]);
             nodes.extend(of_level.iter().map(|r| [r.min[0], r.max[0]]));
         }
-        let buffer = context.buffer_of("bounds of the volume", bytemuck::cast_slice(&nodes), BufferUsages::STORAGE);
-        *cached = Some(ValueBounds { voxels: volume.voxels.clone(), nodes: buffer.clone(), levels: levels.clone() });
+        let buffer = context.buffer_of(
+            "bounds of the volume",
+            bytemuck::cast_slice(&nodes),
+            BufferUsages::STORAGE,
+        );
+        *cached = Some(ValueBounds {
+            voxels: volume.voxels.clone(),
+            nodes: buffer.clone(),
+            levels: levels.clone(),
+        });
         (buffer, levels)
     }
 
@@ -60,20 +76,47 @@ impl ValueBoundsCache {
             return Ok(None);
         }
         let stack_group = maps.bind_stack(context, stack, contents.cuts)?;
-        let bounds = stack.maps().iter().map(|m| maps.bounds_of(context, &m.map)).collect::<Result<Vec<_>>>()?;
+        let bounds = stack
+            .maps()
+            .iter()
+            .map(|m| maps.bounds_of(context, &m.map))
+            .collect::<Result<Vec<_>>>()?;
         if bounds.iter().any(|b| b.levels.len() > MAP_LEVELS) {
             return Ok(None);
         }
         let mut uniform = ClassificationUniform::new(cells, contents, &value_levels);
-        let mut encoder = context.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut encoder = context
+            .device
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let map_nodes = joined_map_bounds(context, &mut encoder, stack, &bounds, &mut uniform);
-        let uniform = context.scratch("classification", bytemuck::bytes_of(&uniform), BufferUsages::UNIFORM);
-        let visible = context.scratch("visible entries", bytemuck::cast_slice(&visible_entries(contents.table)), BufferUsages::STORAGE);
+        let uniform = context.scratch(
+            "classification",
+            bytemuck::bytes_of(&uniform),
+            BufferUsages::UNIFORM,
+        );
+        let visible = context.scratch(
+            "visible entries",
+            bytemuck::cast_slice(&visible_entries(contents.table)),
+            BufferUsages::STORAGE,
+        );
         let bytes = u64::from(cells.size.element_product()) * 4;
         let flags = context.scratch_of("flags", bytes, BufferUsages::STORAGE | BufferUsages::COPY_SRC);
-        let back = context.scratch_of("flags, to read", bytes, BufferUsages::MAP_READ | BufferUsages::COPY_DST);
-        let layout =
-            context.layout_of("classification", &[super::sample_map::uniform(false), storage(true), storage(true), storage(true), storage(false)]);
+        let back = context.scratch_of(
+            "flags, to read",
+            bytes,
+            BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+        );
+        let layout = context.layout_of(
+            "classification",
+            &[
+                super::sample_map::uniform(false),
+                storage(true),
+                storage(true),
+                storage(true),
+                storage(false),
+            ],
+        );
         let resources = [&uniform, &values, &map_nodes, &visible, &flags].map(|b| b.as_entire_binding());
         let group = context.bind_in_order("classification", &layout, &resources);
         let pipeline = classification_pipeline(context, contents, &layout);
@@ -91,8 +134,8 @@ impl ValueBoundsCache {
     }
 }
 
-/// The bounds of all maps of a stack in one buffer. Records the copies, and writes the place of each
-/// map's levels into the uniform.
+/// The bounds of all maps of a stack in one buffer. Records the copies, and writes the place of
+/// each map's levels into the uniform.
 fn joined_map_bounds(
     context: &Context,
     encoder: &mut wgpu::CommandEncoder,
@@ -101,10 +144,19 @@ fn joined_map_bounds(
     uniform: &mut ClassificationUniform,
 ) -> wgpu::Buffer {
     let all: u64 = bounds.iter().map(|b| b.nodes.size()).sum();
-    let map_nodes = context.scratch_of("bounds of all maps", all.max(size_of::<NodeBounds>() as u64), BufferUsages::STORAGE | BufferUsages::COPY_DST);
+    let map_nodes = context.scratch_of(
+        "bounds of all maps",
+        all.max(size_of::<NodeBounds>() as u64),
+        BufferUsages::STORAGE | BufferUsages::COPY_DST,
+    );
     let mut at = 0;
     for (k, b) in bounds.iter().enumerate() {
-        uniform.set_map(k, &b.levels, (at / size_of::<NodeBounds>() as u64) as u32, stack.maps()[k].map.has_cuts());
+        uniform.set_map(
+            k,
+            &b.levels,
+            (at / size_of::<NodeBounds>() as u64) as u32,
+            stack.maps()[k].map.has_cuts(),
+        );
         encoder.copy_buffer_to_buffer(&b.nodes, 0, &map_nodes, at, b.nodes.size());
         at += b.nodes.size();
     }
@@ -122,12 +174,33 @@ fn visible_entries(table: &TransferTable) -> Vec<u32> {
 }
 
 /// The pipeline for a scene's numbers of maps and cuts, compiled on first use.
-fn classification_pipeline(context: &Context, contents: &VisibilityCriteria, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
-    let key = (contents.stack.maps().len(), contents.cuts.primitives().len(), context.strategy.exact_filter);
-    let mut cached = context.classify_pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+fn classification_pipeline(
+    context: &Context,
+    contents: &VisibilityCriteria,
+    layout: &wgpu::BindGroupLayout,
+) -> wgpu::ComputePipeline {
+    let key = (
+        contents.stack.maps().len(),
+        contents.cuts.primitives().len(),
+        context.strategy.exact_filter,
+    );
+    let mut cached = context
+        .classify_pipelines
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
     let make = || {
-        let constants = [("MAPS", key.0 as f64), ("CUTS", key.1 as f64), ("EXACT", f64::from(u8::from(key.2)))];
-        context.compute_pipeline_at(Program::Classify, "classify", false, &[&context.stack_layout(), layout], &constants)
+        let constants = [
+            ("MAPS", key.0 as f64),
+            ("CUTS", key.1 as f64),
+            ("EXACT", f64::from(u8::from(key.2))),
+        ];
+        context.compute_pipeline_at(
+            Program::Classify,
+            "classify",
+            false,
+            &[&context.stack_layout(), layout],
+            &constants,
+        )
     };
     cached.entry(key).or_insert_with(make).clone()
 }
@@ -135,7 +208,8 @@ fn classification_pipeline(context: &Context, contents: &VisibilityCriteria, lay
 /// Reads the states of `count` cells back.
 fn read_states(context: &Context, flags: &wgpu::Buffer, count: usize) -> Result<Vec<CellState>> {
     let read = read_buffer(&context.device.device, flags)?;
-    let numbers: &[u32] = bytemuck::try_cast_slice(&read).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
+    let numbers: &[u32] =
+        bytemuck::try_cast_slice(&read).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
     let state = |n: &u32| match n {
         0 => CellState::Empty,
         1 => CellState::Occupied,

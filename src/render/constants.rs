@@ -102,10 +102,20 @@ fn upper(name: &str) -> String {
 /// The constants of all shaders, as WGSL.
 pub fn wgsl_constants() -> &'static str {
     static TEXT: LazyLock<String> = LazyLock::new(|| {
-        let variants = VARIANTS.iter().chain(GPU_ENUMS).map(|&(prefix, name, number)| (format!("{prefix}{}", upper(name)), number));
-        let iso = [("ISO_NONE", None), ("ISO_GRADIENT", Some(IsoLight::Gradient)), ("ISO_DERIVATIVE", Some(IsoLight::Derivative))];
+        let variants = VARIANTS
+            .iter()
+            .chain(GPU_ENUMS)
+            .map(|&(prefix, name, number)| (format!("{prefix}{}", upper(name)), number));
+        let iso = [
+            ("ISO_NONE", None),
+            ("ISO_GRADIENT", Some(IsoLight::Gradient)),
+            ("ISO_DERIVATIVE", Some(IsoLight::Derivative)),
+        ];
         let iso = iso.map(|(name, light)| (name.to_owned(), self::iso(light)));
-        variants.chain(iso).map(|(name, number)| format!("const {name}: u32 = {number}u;\n")).collect()
+        variants
+            .chain(iso)
+            .map(|(name, number)| format!("const {name}: u32 = {number}u;\n"))
+            .collect()
     });
     &TEXT
 }

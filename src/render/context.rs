@@ -87,20 +87,38 @@ impl Context {
     /// Creates a counted buffer.
     pub(super) fn buffer(&self, label: &str, size: u64, usage: BufferUsages) -> wgpu::Buffer {
         self.tally.count(ResourceKind::Buffer);
-        self.device.device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+        self.device.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
     }
 
     /// Creates a counted buffer with content.
     pub(super) fn buffer_of(&self, label: &str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
-        let buffer = self.buffer(label, (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT), usage | BufferUsages::COPY_DST);
+        let buffer = self.buffer(
+            label,
+            (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
+            usage | BufferUsages::COPY_DST,
+        );
         self.device.queue.write_buffer(&buffer, 0, contents);
         buffer
     }
 
     /// Creates a counted bind group.
-    pub(super) fn bind_group(&self, label: &str, layout: &wgpu::BindGroupLayout, entries: &[wgpu::BindGroupEntry]) -> wgpu::BindGroup {
+    pub(super) fn bind_group(
+        &self,
+        label: &str,
+        layout: &wgpu::BindGroupLayout,
+        entries: &[wgpu::BindGroupEntry],
+    ) -> wgpu::BindGroup {
         self.tally.count(ResourceKind::BindGroup);
-        self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries })
+        self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(label),
+            layout,
+            entries,
+        })
     }
 
     /// Creates a counted texture.
@@ -110,7 +128,12 @@ impl Context {
     }
 
     /// A cached buffer for a purpose, with new content; overwritten at the next use.
-    pub(super) fn scratch(&self, purpose: &'static str, contents: &[u8], usage: BufferUsages) -> wgpu::Buffer {
+    pub(super) fn scratch(
+        &self,
+        purpose: &'static str,
+        contents: &[u8],
+        usage: BufferUsages,
+    ) -> wgpu::Buffer {
         let buffer = self.scratch_of(purpose, contents.len() as u64, usage | BufferUsages::COPY_DST);
         self.device.queue.write_buffer(&buffer, 0, contents);
         buffer
@@ -142,27 +165,54 @@ impl Context {
         if let Some(found) = groups.iter().find(|g| g.purpose == purpose && g.views == key) {
             return found.group.clone();
         }
-        let of_views = views.iter().map(|(n, view)| (*n, wgpu::BindingResource::TextureView(view)));
-        let entries: Vec<_> = of_views.chain(others.iter().cloned()).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+        let of_views = views
+            .iter()
+            .map(|(n, view)| (*n, wgpu::BindingResource::TextureView(view)));
+        let entries: Vec<_> = of_views
+            .chain(others.iter().cloned())
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+            .collect();
         self.tally.count(ResourceKind::BindGroup);
-        let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(purpose), layout, entries: &entries });
+        let group = self.device.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(purpose),
+            layout,
+            entries: &entries,
+        });
         if groups.len() >= MAX_CACHED_BIND_GROUPS {
             groups.remove(0);
         }
-        groups.push(CachedBindGroup { purpose, views: key, group: group.clone() });
+        groups.push(CachedBindGroup {
+            purpose,
+            views: key,
+            group: group.clone(),
+        });
         group
     }
 
     /// An empty 3D texture.
-    pub(super) fn texture_3d(&self, label: &str, size: [usize; 3], format: TextureFormat) -> Result<wgpu::Texture> {
+    pub(super) fn texture_3d(
+        &self,
+        label: &str,
+        size: [usize; 3],
+        format: TextureFormat,
+    ) -> Result<wgpu::Texture> {
         self.texture_3d_for(label, size, format, wgpu::TextureUsages::COPY_DST)
     }
 
     /// The same with a given usage.
-    pub(super) fn texture_3d_for(&self, label: &str, size: [usize; 3], format: TextureFormat, usage: wgpu::TextureUsages) -> Result<wgpu::Texture> {
+    pub(super) fn texture_3d_for(
+        &self,
+        label: &str,
+        size: [usize; 3],
+        format: TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> Result<wgpu::Texture> {
         let most = self.device.device.limits().max_texture_dimension_3d as usize;
         if size.iter().any(|&n| n > most) {
-            return Err(Error::GpuLimit(format!("the {label} of {} x {} x {} exceeds this GPU's {most} per axis", size[0], size[1], size[2])));
+            return Err(Error::GpuLimit(format!(
+                "the {label} of {} x {} x {} exceeds this GPU's {most} per axis",
+                size[0], size[1], size[2]
+            )));
         }
         Ok(self.texture(&wgpu::TextureDescriptor {
             label: Some(label),
@@ -177,7 +227,9 @@ impl Context {
     }
 
     pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
-        self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+        self.device
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
     /// A pipeline for the entry point `main` of a program, with its layouts.
@@ -203,7 +255,11 @@ impl Context {
         self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
         let layouts: Vec<_> = layouts.iter().copied().map(Some).collect();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: None, bind_group_layouts: &layouts, immediate_size: 0 });
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &layouts,
+            immediate_size: 0,
+        });
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{program:?}")),
             source: wgpu::ShaderSource::Wgsl(program.source(wgsl_constants(), counting).into()),
@@ -213,7 +269,10 @@ impl Context {
             layout: Some(&layout),
             module: &module,
             entry_point: Some(entry),
-            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants,
+                ..Default::default()
+            },
             cache: None,
         })
     }
@@ -226,23 +285,57 @@ impl Context {
             count: None,
         };
         let entries: Vec<_> = types.iter().enumerate().map(entry).collect();
-        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+        self.device
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some(label),
+                entries: &entries,
+            })
     }
 
     /// A bind group of resources in order.
-    pub(super) fn bind_in_order(&self, label: &str, layout: &wgpu::BindGroupLayout, resources: &[wgpu::BindingResource]) -> wgpu::BindGroup {
-        let entries: Vec<_> = resources.iter().enumerate().map(|(n, r)| wgpu::BindGroupEntry { binding: n as u32, resource: r.clone() }).collect();
+    pub(super) fn bind_in_order(
+        &self,
+        label: &str,
+        layout: &wgpu::BindGroupLayout,
+        resources: &[wgpu::BindingResource],
+    ) -> wgpu::BindGroup {
+        let entries: Vec<_> = resources
+            .iter()
+            .enumerate()
+            .map(|(n, r)| wgpu::BindGroupEntry {
+                binding: n as u32,
+                resource: r.clone(),
+            })
+            .collect();
         self.bind_group(label, layout, &entries)
     }
 
     /// Copies whole layers into a 3D texture.
-    pub(super) fn write_layers(&self, texture: &wgpu::Texture, first_layer: usize, bytes: &[u8], size: [usize; 3]) {
+    pub(super) fn write_layers(
+        &self,
+        texture: &wgpu::Texture,
+        first_layer: usize,
+        bytes: &[u8],
+        size: [usize; 3],
+    ) {
         let texel = texture.format().block_copy_size(None).unwrap_or(4) as usize;
         let layers = bytes.len() / (size[0] * size[1] * texel);
         self.device.queue.write_texture(
-            wgpu::TexelCopyTextureInfo { origin: wgpu::Origin3d { x: 0, y: 0, z: first_layer as u32 }, ..texture.as_image_copy() },
+            wgpu::TexelCopyTextureInfo {
+                origin: wgpu::Origin3d {
+                    x: 0,
+                    y: 0,
+                    z: first_layer as u32,
+                },
+                ..texture.as_image_copy()
+            },
             bytes,
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some((size[0] * texel) as u32), rows_per_image: Some(size[1] as u32) },
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some((size[0] * texel) as u32),
+                rows_per_image: Some(size[1] as u32),
+            },
             extent([size[0], size[1], layers]),
         );
     }
@@ -254,22 +347,48 @@ impl Context {
 }
 
 pub(super) fn extent(size: [usize; 3]) -> wgpu::Extent3d {
-    wgpu::Extent3d { width: size[0] as u32, height: size[1] as u32, depth_or_array_layers: size[2] as u32 }
+    wgpu::Extent3d {
+        width: size[0] as u32,
+        height: size[1] as u32,
+        depth_or_array_layers: size[2] as u32,
+    }
 }
 
 fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let stages = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
-    let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None };
-    let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
-    let texture = |sample_type, view_dimension| wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false };
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: stages,
+        ty,
+        count: None,
+    };
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let texture = |sample_type, view_dimension| wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension,
+        multisampled: false,
+    };
     let filtered = wgpu::TextureSampleType::Float { filterable: true };
     let mut entries = vec![
         entry(0, uniform),
         entry(1, uniform),
         entry(2, texture(filtered, wgpu::TextureViewDimension::D3)),
         entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
-        entry(4, texture(wgpu::TextureSampleType::Float { filterable: false }, wgpu::TextureViewDimension::D2)),
-        entry(5, texture(wgpu::TextureSampleType::Uint, wgpu::TextureViewDimension::D3)),
+        entry(
+            4,
+            texture(
+                wgpu::TextureSampleType::Float { filterable: false },
+                wgpu::TextureViewDimension::D2,
+            ),
+        ),
+        entry(
+            5,
+            texture(wgpu::TextureSampleType::Uint, wgpu::TextureViewDimension::D3),
+        ),
     ];
     entries.extend([6, 7].map(|n| entry(n, texture(filtered, wgpu::TextureViewDimension::D3))));
     entries.push(entry(14, uniform));
@@ -278,5 +397,8 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     entries.push(entry(19, texture(filtered, wgpu::TextureViewDimension::D3)));
     let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
     entries.extend([15, 16].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries })
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("scene"),
+        entries: &entries,
+    })
 }

@@ -61,24 +61,44 @@ struct Canvas<'a> {
 
 impl<'a> Canvas<'a> {
     fn of(color: &'a wgpu::TextureView, load: wgpu::LoadOp<wgpu::Color>) -> Self {
-        Self { color: Some((color, load)), depth: None }
+        Self {
+            color: Some((color, load)),
+            depth: None,
+        }
     }
 
-    fn pass(&self, clock: Option<&PassTimer>, encoder: &mut wgpu::CommandEncoder, record: impl FnOnce(&mut wgpu::RenderPass)) {
+    fn pass(
+        &self,
+        clock: Option<&PassTimer>,
+        encoder: &mut wgpu::CommandEncoder,
+        record: impl FnOnce(&mut wgpu::RenderPass),
+    ) {
         let color = self.color.map(|(view, load)| wgpu::RenderPassColorAttachment {
             view,
             depth_slice: None,
             resolve_target: None,
-            ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+            ops: wgpu::Operations {
+                load,
+                store: wgpu::StoreOp::Store,
+            },
         });
-        let depth = self.depth.map(|(view, load)| wgpu::RenderPassDepthStencilAttachment {
-            view,
-            depth_ops: Some(wgpu::Operations { load, store: wgpu::StoreOp::Store }),
-            stencil_ops: None,
-        });
+        let depth = self
+            .depth
+            .map(|(view, load)| wgpu::RenderPassDepthStencilAttachment {
+                view,
+                depth_ops: Some(wgpu::Operations {
+                    load,
+                    store: wgpu::StoreOp::Store,
+                }),
+                stencil_ops: None,
+            });
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: None,
-            color_attachments: if color.is_some() { std::slice::from_ref(&color) } else { &[] },
+            color_attachments: if color.is_some() {
+                std::slice::from_ref(&color)
+            } else {
+                &[]
+            },
             depth_stencil_attachment: depth,
             timestamp_writes: clock.and_then(PassTimer::next),
             occlusion_query_set: None,
@@ -101,8 +121,16 @@ struct PendingSubmissions(VecDeque<(wgpu::SubmissionIndex, f32)>);
 impl Context {
     /// Submits; waits for the previous submission, reports its progress, and checks for
     /// cancellation.
-    fn submit(&self, encoder: wgpu::CommandEncoder, share: f32, pending: &mut PendingSubmissions, watch: &Watch) -> Result<()> {
-        pending.0.push_back((self.device.queue.submit([encoder.finish()]), share));
+    fn submit(
+        &self,
+        encoder: wgpu::CommandEncoder,
+        share: f32,
+        pending: &mut PendingSubmissions,
+        watch: &Watch,
+    ) -> Result<()> {
+        pending
+            .0
+            .push_back((self.device.queue.submit([encoder.finish()]), share));
         if pending.0.len() > 1
             && let Some((index, share)) = pending.0.pop_front()
         {
@@ -113,7 +141,12 @@ impl Context {
     }
 
     fn bands_layout(device: &wgpu::Device, counting: bool) -> wgpu::BindGroupLayout {
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::COMPUTE, ty, count: None };
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty,
+            count: None,
+        };
         let mut entries = vec![
             entry(
                 1,
@@ -123,18 +156,36 @@ impl Context {
                     view_dimension: wgpu::TextureViewDimension::D2,
                 },
             ),
-            entry(2, wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None }),
+            entry(
+                2,
+                wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Uniform,
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+            ),
         ];
         entries.extend(counting.then_some(Counter::ENTRY));
-        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("rays"), entries: &entries })
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("rays"),
+            entries: &entries,
+        })
     }
 
     pub(super) fn ray_pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
         let make = || {
             let own = Self::bands_layout(&self.device.device, variant.counting);
-            self.compute_pipeline(variant.program, variant.counting, [&self.shared_layout, &own], &overrides(&variant))
+            self.compute_pipeline(
+                variant.program,
+                variant.counting,
+                [&self.shared_layout, &own],
+                &overrides(&variant),
+            )
         };
-        lock(&self.ray_pipelines).entry(variant).or_insert_with(make).clone()
+        lock(&self.ray_pipelines)
+            .entry(variant)
+            .or_insert_with(make)
+            .clone()
     }
 
     fn gathered_group(&self, view: &wgpu::TextureView) -> wgpu::BindGroup {
@@ -159,7 +210,11 @@ impl Renderer {
             let mut encoder = self.context.encoder();
             if let Some(bands) = &bands {
                 // Written after the previous submission and before the one that reads it.
-                self.context.device.queue.write_buffer(&bands.first_row, 0, bytemuck::bytes_of(&[top, 0, 0, 0]));
+                self.context.device.queue.write_buffer(
+                    &bands.first_row,
+                    0,
+                    bytemuck::bytes_of(&[top, 0, 0, 0]),
+                );
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                     label: Some("rays"),
                     timestamp_writes: draw.clock.and_then(PassTimer::next_computing),
@@ -169,7 +224,11 @@ impl Renderer {
                 pass.set_bind_group(1, &bands.group, &[]);
                 pass.dispatch_workgroups(width.div_ceil(RAYS_ACROSS), count.div_ceil(RAYS_ACROSS), 1);
             } else {
-                let load = if top == 0 { wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT) } else { wgpu::LoadOp::Load };
+                let load = if top == 0 {
+                    wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)
+                } else {
+                    wgpu::LoadOp::Load
+                };
                 Canvas::of(&draw.target.view, load).pass(draw.clock, &mut encoder, |pass| {
                     pass.set_scissor_rect(0, top, width, count);
                     pass.set_pipeline(&self.context.pipeline(variant));
@@ -177,19 +236,32 @@ impl Renderer {
                     pass.draw(0..3, 0..1);
                 });
             }
-            self.context.submit(encoder, (top + count) as f32 / height as f32, &mut pending, draw.watch)?;
+            self.context.submit(
+                encoder,
+                (top + count) as f32 / height as f32,
+                &mut pending,
+                draw.watch,
+            )?;
         }
         wait(&self.context.device.device)
     }
 
     /// The additional bindings of compute rays.
     fn bands(&mut self, draw: &Draw) -> Bands {
-        let first_row = self.context.scratch_of("first row", 16, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
+        let first_row =
+            self.context
+                .scratch_of("first row", 16, BufferUsages::UNIFORM | BufferUsages::COPY_DST);
         let layout = Context::bands_layout(&self.context.device.device, draw.counter.is_some());
         let mut others = vec![(2, first_row.as_entire_binding())];
         others.extend(draw.counter.map(|c| (0, c.buffer.as_entire_binding())));
-        let purpose = if draw.counter.is_some() { "rays, counted" } else { "rays" };
-        let group = self.context.cached_bind_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
+        let purpose = if draw.counter.is_some() {
+            "rays, counted"
+        } else {
+            "rays"
+        };
+        let group =
+            self.context
+                .cached_bind_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
         Bands { first_row, group }
     }
 
@@ -199,10 +271,22 @@ impl Renderer {
         let scene = draw.scene;
         let [width, height] = scene.frame.size;
         let composite = scene.volume().blend == Blend::Composite;
-        let projection_values = (!composite).then(|| self.targets.target(&self.context, "gathered", width, height, PROJECTION_FORMAT));
-        let mask = composite.then(|| self.targets.target(&self.context, "opaque pixels", width, height, MASK));
-        let polygons = slices::slabs(&scene.frame, &scene.volume().macrocells, scene.proxy_mesh.as_deref());
-        let vertices = self.targets.slice_vertices(&self.context, bytemuck::cast_slice(&polygons.corners));
+        let projection_values = (!composite).then(|| {
+            self.targets
+                .target(&self.context, "gathered", width, height, PROJECTION_FORMAT)
+        });
+        let mask = composite.then(|| {
+            self.targets
+                .target(&self.context, "opaque pixels", width, height, MASK)
+        });
+        let polygons = slices::slabs(
+            &scene.frame,
+            &scene.volume().macrocells,
+            scene.proxy_mesh.as_deref(),
+        );
+        let vertices = self
+            .targets
+            .slice_vertices(&self.context, bytemuck::cast_slice(&polygons.corners));
         let targets = SliceTargets {
             color: projection_values.as_ref().map_or(&draw.target.view, |t| &t.view),
             mask: mask.as_ref().map(|m| &m.view),
@@ -211,28 +295,46 @@ impl Renderer {
         let empty = match scene.volume().blend {
             Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
             // Below every value; green stays 0 where nothing is drawn.
-            Blend::Mip | Blend::Minip => wgpu::Color { r: -1e4, ..wgpu::Color::TRANSPARENT },
+            Blend::Mip | Blend::Minip => wgpu::Color {
+                r: -1e4,
+                ..wgpu::Color::TRANSPARENT
+            },
         };
         let mut pending = PendingSubmissions::default();
         let mut encoder = self.context.encoder();
-        targets.canvas(wgpu::LoadOp::Clear(empty), wgpu::LoadOp::Clear(1.0)).pass(draw.clock, &mut encoder, |_| {});
-        self.context.draw_slabs(draw, &targets, &polygons.slabs, &mut encoder, &mut pending)?;
+        targets
+            .canvas(wgpu::LoadOp::Clear(empty), wgpu::LoadOp::Clear(1.0))
+            .pass(draw.clock, &mut encoder, |_| {});
+        self.context
+            .draw_slabs(draw, &targets, &polygons.slabs, &mut encoder, &mut pending)?;
         if composite {
             if draw.behind.is_some() {
                 Canvas::of(targets.color, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::SurfacesBehind)));
+                    pass.set_pipeline(
+                        &self
+                            .context
+                            .pipeline(draw.variant(&self.context, Program::SurfacesBehind)),
+                    );
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.draw(0..3, 0..1);
                 });
             }
         } else {
             let group = self.context.gathered_group(targets.color);
-            Canvas::of(&draw.target.view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(draw.clock, &mut encoder, |pass| {
-                pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Resolve)));
-                pass.set_bind_group(0, draw.bindings, &[]);
-                pass.set_bind_group(1, &group, &[]);
-                pass.draw(0..3, 0..1);
-            });
+            Canvas::of(&draw.target.view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(
+                draw.clock,
+                &mut encoder,
+                |pass| {
+                    pass.set_pipeline(
+                        &self
+                            .context
+                            .pipeline(draw.variant(&self.context, Program::Resolve)),
+                    );
+                    pass.set_bind_group(0, draw.bindings, &[]);
+                    pass.set_bind_group(1, &group, &[]);
+                    pass.draw(0..3, 0..1);
+                },
+            );
         }
         self.context.submit(encoder, 1.0, &mut pending, draw.watch)?;
         wait(&self.context.device.device)
@@ -251,7 +353,10 @@ struct SliceTargets<'a> {
 impl<'a> SliceTargets<'a> {
     /// The attachments of a pass that draws slabs.
     fn canvas(&self, color: wgpu::LoadOp<wgpu::Color>, depth: wgpu::LoadOp<f32>) -> Canvas<'a> {
-        Canvas { color: Some((self.color, color)), depth: self.mask.map(|view| (view, depth)) }
+        Canvas {
+            color: Some((self.color, color)),
+            depth: self.mask.map(|view| (view, depth)),
+        }
     }
 }
 
@@ -268,14 +373,31 @@ impl Context {
     ) -> Result<()> {
         let scene = draw.scene;
         let [width, height] = scene.frame.size;
-        let seen = targets.mask.filter(|_| scene.settings.early_termination).map(|_| self.gathered_group(&draw.target.view));
+        let seen = targets
+            .mask
+            .filter(|_| scene.settings.early_termination)
+            .map(|_| self.gathered_group(&draw.target.view));
         let pipeline = &self.pipeline(draw.variant(self, Program::Slice));
         let canvas = targets.canvas(wgpu::LoadOp::Load, wgpu::LoadOp::Load);
-        let samples_per_slab = u64::from(width) * u64::from(height) * if scene.proxy_mesh.is_some() { 1 } else { SLICES_PER_SLAB as u64 };
+        let samples_per_slab = u64::from(width)
+            * u64::from(height)
+            * if scene.proxy_mesh.is_some() {
+                1
+            } else {
+                SLICES_PER_SLAB as u64
+            };
         let mut samples = 0;
         // For a mesh, polygons are single slices.
-        let slabs_at_once = if scene.proxy_mesh.is_some() { SLICES_PER_SLAB as usize } else { 1 };
-        let mut parts = slabs.chunks(slabs_at_once).map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end)).enumerate().peekable();
+        let slabs_at_once = if scene.proxy_mesh.is_some() {
+            SLICES_PER_SLAB as usize
+        } else {
+            1
+        };
+        let mut parts = slabs
+            .chunks(slabs_at_once)
+            .map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end))
+            .enumerate()
+            .peekable();
         while let Some((n, (count, corners))) = parts.next() {
             canvas.pass(draw.clock, encoder, |pass| {
                 pass.set_pipeline(pipeline);
@@ -285,7 +407,11 @@ impl Context {
             });
             // Only where the next slabs are.
             if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
-                Canvas { color: None, depth: canvas.depth }.pass(draw.clock, encoder, |pass| {
+                Canvas {
+                    color: None,
+                    depth: canvas.depth,
+                }
+                .pass(draw.clock, encoder, |pass| {
                     pass.set_pipeline(&self.pipeline(draw.variant(self, Program::Opaque)));
                     pass.set_bind_group(0, draw.bindings, &[]);
                     pass.set_bind_group(1, seen, &[]);
@@ -296,7 +422,12 @@ impl Context {
             samples += samples_per_slab * count;
             if samples >= SAMPLES_PER_BATCH {
                 let share = ((n + 1) * slabs_at_once).min(slabs.len()) as f32 / slabs.len() as f32;
-                self.submit(std::mem::replace(encoder, self.encoder()), share, pending, draw.watch)?;
+                self.submit(
+                    std::mem::replace(encoder, self.encoder()),
+                    share,
+                    pending,
+                    draw.watch,
+                )?;
                 samples = 0;
             }
         }

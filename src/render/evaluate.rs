@@ -22,26 +22,53 @@ const POINTS_AT_ONCE: usize = 1 << 20;
 impl Context {
     pub(super) fn stack_layout(&self) -> wgpu::BindGroupLayout {
         let stages = wgpu::ShaderStages::COMPUTE;
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: stages, ty, count: None };
-        let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
-        let mut entries = vec![entry(1, uniform), entry(14, uniform), entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering))];
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: stages,
+            ty,
+            count: None,
+        };
+        let uniform = wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        let mut entries = vec![
+            entry(1, uniform),
+            entry(14, uniform),
+            entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
+        ];
         let texture = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: true },
             view_dimension: wgpu::TextureViewDimension::D3,
             multisampled: false,
         };
         entries.extend([6, 7].map(|n| entry(n, texture)));
-        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some("stack"), entries: &entries })
+        self.device
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some("stack"),
+                entries: &entries,
+            })
     }
 
     pub(super) fn points_layout(&self) -> wgpu::BindGroupLayout {
         let storage = |binding, read_only| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Storage { read_only }, has_dynamic_offset: false, min_binding_size: None },
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
             count: None,
         };
-        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &[storage(0, true), storage(1, false)] })
+        self.device
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: None,
+                entries: &[storage(0, true), storage(1, false)],
+            })
     }
 
     /// Runs a program with one invocation per point; `T` is its output per point.
@@ -61,15 +88,28 @@ impl Context {
                 usage: wgpu::BufferUsages::STORAGE,
             });
             let size = (part.len() * size_of::<T>()) as u64;
-            let buffer = |usage| device.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
+            let buffer = |usage| {
+                device.create_buffer(&wgpu::BufferDescriptor {
+                    label: None,
+                    size,
+                    usage,
+                    mapped_at_creation: false,
+                })
+            };
             let output = buffer(wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC);
             let back = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
             let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: None,
                 layout: &self.points_layout(),
                 entries: &[
-                    wgpu::BindGroupEntry { binding: 0, resource: input.as_entire_binding() },
-                    wgpu::BindGroupEntry { binding: 1, resource: output.as_entire_binding() },
+                    wgpu::BindGroupEntry {
+                        binding: 0,
+                        resource: input.as_entire_binding(),
+                    },
+                    wgpu::BindGroupEntry {
+                        binding: 1,
+                        resource: output.as_entire_binding(),
+                    },
                 ],
             });
             let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -82,7 +122,9 @@ impl Context {
             }
             encoder.copy_buffer_to_buffer(&output, 0, &back, 0, size);
             self.device.queue.submit([encoder.finish()]);
-            results.extend(bytemuck::pod_collect_to_vec::<u8, T>(&read_buffer(device, &back)?));
+            results.extend(bytemuck::pod_collect_to_vec::<u8, T>(&read_buffer(
+                device, &back,
+            )?));
         }
         Ok(results)
     }
@@ -93,7 +135,12 @@ impl MapCache {
     ///
     /// # Errors
     /// More maps than a pass binds; any error of the device.
-    pub(super) fn evaluate_stack(&self, context: &Context, stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
+    pub(super) fn evaluate_stack(
+        &self,
+        context: &Context,
+        stack: &Stack,
+        points: &[Vec3],
+    ) -> Result<SourcesAndAlphas> {
         let device = &context.device.device;
         let mut results = points.iter().map(|p| (*p, 1.0f32)).collect::<Vec<_>>();
         // The last maps act first; a map added to the previous one stays with it.
@@ -104,7 +151,9 @@ impl MapCache {
                 first += 1;
             }
             if stack.maps()[first].added && first > 0 {
-                return Err(Error::GpuLimit(format!("more than {MAX_MAPS} deformations are added together, which a GPU does not support")));
+                return Err(Error::GpuLimit(format!(
+                    "more than {MAX_MAPS} deformations are added together, which a GPU does not support"
+                )));
             }
             let part = Stack::new(stack.maps()[first..end].to_vec());
             let positions: Vec<[f32; 3]> = results.iter().map(|(p, _)| p.to_array()).collect();
@@ -114,7 +163,10 @@ impl MapCache {
                     Program::Compose,
                     false,
                     [&context.stack_layout(), &context.points_layout()],
-                    &[("MAPS", part.maps().len() as f64), ("EXACT", f64::from(u8::from(context.strategy.exact_filter)))],
+                    &[
+                        ("MAPS", part.maps().len() as f64),
+                        ("EXACT", f64::from(u8::from(context.strategy.exact_filter))),
+                    ],
                 );
                 context.compute(&pipeline, &bindings, &positions)
             })?;
@@ -127,25 +179,45 @@ impl MapCache {
     }
 
     /// Binds the maps of a stack and the cut shapes, without a scene.
-    pub(super) fn bind_stack(&self, context: &Context, stack: &Stack, cuts: &CutShapes) -> Result<wgpu::BindGroup> {
+    pub(super) fn bind_stack(
+        &self,
+        context: &Context,
+        stack: &Stack,
+        cuts: &CutShapes,
+    ) -> Result<wgpu::BindGroup> {
         let (views, placed, _) = self.upload_maps(context, stack)?;
         let mut shapes = [bytemuck::Zeroable::zeroed(); MAX_CUTS];
         for (shape, cut) in shapes.iter_mut().zip(cuts.primitives()) {
             *shape = CutShapeUniform::new(cut);
         }
-        let uniform = context.scratch("placements", bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed), wgpu::BufferUsages::UNIFORM);
-        let shapes = context.scratch("shapes", bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes), wgpu::BufferUsages::UNIFORM);
-        let mut entries = vec![
-            wgpu::BindGroupEntry { binding: 1, resource: uniform.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 14, resource: shapes.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&context.sampler) },
-        ];
-        entries.extend(
-            views
-                .iter()
-                .enumerate()
-                .map(|(k, view)| wgpu::BindGroupEntry { binding: 6 + k as u32, resource: wgpu::BindingResource::TextureView(view) }),
+        let uniform = context.scratch(
+            "placements",
+            bytemuck::cast_slice::<PlacedMapUniform, u8>(&placed),
+            wgpu::BufferUsages::UNIFORM,
         );
+        let shapes = context.scratch(
+            "shapes",
+            bytemuck::cast_slice::<CutShapeUniform, u8>(&shapes),
+            wgpu::BufferUsages::UNIFORM,
+        );
+        let mut entries = vec![
+            wgpu::BindGroupEntry {
+                binding: 1,
+                resource: uniform.as_entire_binding(),
+            },
+            wgpu::BindGroupEntry {
+                binding: 14,
+                resource: shapes.as_entire_binding(),
+            },
+            wgpu::BindGroupEntry {
+                binding: 3,
+                resource: wgpu::BindingResource::Sampler(&context.sampler),
+            },
+        ];
+        entries.extend(views.iter().enumerate().map(|(k, view)| wgpu::BindGroupEntry {
+            binding: 6 + k as u32,
+            resource: wgpu::BindingResource::TextureView(view),
+        }));
         Ok(context.bind_group("stack", &context.stack_layout(), &entries))
     }
 }
@@ -159,7 +231,9 @@ impl Renderer {
     pub fn probe(&mut self, scene: &Prepared, points: &[[f32; 3]]) -> Result<Vec<[f32; 24]>> {
         let device = self.context.device.device.clone();
         checked(&device, || {
-            self.scene.volume.upload(&self.context, scene.volume().grid, scene.volume().colors)?;
+            self.scene
+                .volume
+                .upload(&self.context, scene.volume().grid, scene.volume().colors)?;
             let bindings = {
                 let shared = self.shared(scene)?;
                 self.scene.group(&self.context, &shared, None)

@@ -44,8 +44,20 @@ impl Context {
     /// The atlas for a map, and its format.
     pub(super) fn format_of(&self, map: &DisplacementMap) -> (bool, TextureFormat) {
         // A format that cannot be filtered cannot be bound to a filtering sampler.
-        let single = map.storage != Storage::F16 && self.device.device.features().contains(Features::FLOAT32_FILTERABLE);
-        (single, if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float })
+        let single = map.storage != Storage::F16
+            && self
+                .device
+                .device
+                .features()
+                .contains(Features::FLOAT32_FILTERABLE);
+        (
+            single,
+            if single {
+                TextureFormat::Rgba32Float
+            } else {
+                TextureFormat::Rgba16Float
+            },
+        )
     }
 }
 
@@ -54,7 +66,12 @@ impl MapCache {
         let (single, format) = context.format_of(map);
         let usage = TextureUsages::COPY_DST | TextureUsages::COPY_SRC;
         let texture = context.texture_3d_for("displacement map", map.size, format, usage)?;
-        context.write_layers(&texture, 0, &map.encode_as(if single { Storage::F32 } else { Storage::F16 }), map.size);
+        context.write_layers(
+            &texture,
+            0,
+            &map.encode_as(if single { Storage::F32 } else { Storage::F16 }),
+            map.size,
+        );
         Ok(texture)
     }
 
@@ -69,24 +86,35 @@ impl MapCache {
             return Ok(texture);
         }
         context.tally.count(ResourceKind::Map);
-        let made = map.definition().filter(|_| context.strategy.prepare).and_then(|r| Some((r, r.formula()?)));
+        let made = map
+            .definition()
+            .filter(|_| context.strategy.prepare)
+            .and_then(|r| Some((r, r.formula()?)));
         let (texture, bounds) = match made {
             // Made by another renderer, or evicted.
-            Some((definition, formula)) => context.sampled_map(definition, &formula).map(|made| (made.texture, Some(made.bounds)))?,
+            Some((definition, formula)) => context
+                .sampled_map(definition, &formula)
+                .map(|made| (made.texture, Some(made.bounds)))?,
             None => (self.upload_map(context, map)?, None),
         };
-        cached.push(CachedMap { map: map.clone(), texture: texture.clone(), bounds });
+        cached.push(CachedMap {
+            map: map.clone(),
+            texture: texture.clone(),
+            bounds,
+        });
         Ok(texture)
     }
 
     /// Evicts the least recently used maps above the limits.
     fn forget_maps(&self, in_use: &Stack) {
         let mut cached = lock(&self.maps);
-        let cached_bytes = |k: &CachedMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
+        let cached_bytes =
+            |k: &CachedMap| bytes_of(&k.texture) + k.bounds.as_ref().map_or(0, MapBounds::bytes);
         let mut bytes: usize = cached.iter().map(cached_bytes).sum();
         let mut count = cached.len();
         cached.retain(|k| {
-            let goes = (bytes > MAX_CACHED_MAP_BYTES || count > MAX_CACHED_MAPS) && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
+            let goes = (bytes > MAX_CACHED_MAP_BYTES || count > MAX_CACHED_MAPS)
+                && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
             if goes {
                 bytes -= cached_bytes(k);
                 count -= 1;
@@ -103,13 +131,20 @@ impl MapCache {
     /// Caches a map made on the device.
     pub(super) fn cache_map(&self, context: &Context, map: &Arc<DisplacementMap>, made: SampledMap) {
         context.tally.count(ResourceKind::Map);
-        lock(&self.maps).push(CachedMap { map: map.clone(), texture: made.texture, bounds: Some(made.bounds) });
+        lock(&self.maps).push(CachedMap {
+            map: map.clone(),
+            texture: made.texture,
+            bounds: Some(made.bounds),
+        });
     }
 
     /// Bounds on boxes of the texels of a cached map.
     pub(super) fn bounds_of(&self, context: &Context, map: &Arc<DisplacementMap>) -> Result<MapBounds> {
         let mut cached = lock(&self.maps);
-        let found = cached.iter_mut().find(|k| Arc::ptr_eq(&k.map, map)).ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
+        let found = cached
+            .iter_mut()
+            .find(|k| Arc::ptr_eq(&k.map, map))
+            .ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
         match &found.bounds {
             Some(bounds) => Ok(bounds.clone()),
             None => {
@@ -124,10 +159,16 @@ impl MapCache {
     ///
     /// # Errors
     /// More maps than a pass evaluates, or than fit on the device.
-    pub(super) fn upload_maps(&self, context: &Context, stack: &Stack) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; PLACED_MAPS], bool)> {
+    pub(super) fn upload_maps(
+        &self,
+        context: &Context,
+        stack: &Stack,
+    ) -> Result<([wgpu::TextureView; 2], [PlacedMapUniform; PLACED_MAPS], bool)> {
         let count = stack.maps().len();
         if count > MAX_MAPS {
-            return Err(Error::GpuLimit(format!("the scene has {count} deformations, but the GPU renderer supports at most {MAX_MAPS}")));
+            return Err(Error::GpuLimit(format!(
+                "the scene has {count} deformations, but the GPU renderer supports at most {MAX_MAPS}"
+            )));
         }
         let (views, places, replaced) = self.place_maps(context, stack)?;
         self.forget_maps(stack);
@@ -135,14 +176,23 @@ impl MapCache {
         let mut uniforms = [bytemuck::Zeroable::zeroed(); PLACED_MAPS];
         for ((uniform, map), place) in uniforms.iter_mut().zip(stack.all_maps()).zip(places) {
             let size = sizes[usize::from(place.single)];
-            *uniform = PlacedMapUniform::new(map, place.origin, place.single, [size.width, size.height, size.depth_or_array_layers]);
+            *uniform = PlacedMapUniform::new(
+                map,
+                place.origin,
+                place.single,
+                [size.width, size.height, size.depth_or_array_layers],
+            );
         }
         Ok((views, uniforms, replaced))
     }
 
     /// Places the maps of a stack in their atlases; returns both textures, the place of each map,
     /// and whether a texture was replaced.
-    pub(super) fn place_maps(&self, context: &Context, stack: &Stack) -> Result<([wgpu::TextureView; 2], Vec<AtlasSlot>, bool)> {
+    pub(super) fn place_maps(
+        &self,
+        context: &Context,
+        stack: &Stack,
+    ) -> Result<([wgpu::TextureView; 2], Vec<AtlasSlot>, bool)> {
         let all: Vec<&PlacedMap> = stack.all_maps().collect();
         let mut atlases = lock(&self.atlases);
         let mut places = vec![AtlasSlot::default(); all.len()];
@@ -157,31 +207,59 @@ impl MapCache {
                     maps.push(map.clone());
                 }
             }
-            let format = if single { TextureFormat::Rgba32Float } else { TextureFormat::Rgba16Float };
+            let format = if single {
+                TextureFormat::Rgba32Float
+            } else {
+                TextureFormat::Rgba16Float
+            };
             replaced |= self.fill(context, atlas, &maps, format)?;
             for n in members {
                 let entry = atlas.find(&all[n].map).map(|e| atlas.entries[e].region.origin);
-                places[n] = AtlasSlot { origin: entry.unwrap_or_default(), single };
+                places[n] = AtlasSlot {
+                    origin: entry.unwrap_or_default(),
+                    single,
+                };
             }
             views.push(self.view_of(context, atlas, format)?);
         }
-        let [half, single] = <[wgpu::TextureView; 2]>::try_from(views).map_err(|_| Error::Gpu("an atlas is missing".into()))?;
+        let [half, single] = <[wgpu::TextureView; 2]>::try_from(views)
+            .map_err(|_| Error::Gpu("an atlas is missing".into()))?;
         Ok(([half, single], places, replaced))
     }
 
     /// The texture of an atlas; a single texel if it is empty.
-    fn view_of(&self, context: &Context, atlas: &mut Atlas, format: TextureFormat) -> Result<wgpu::TextureView> {
+    fn view_of(
+        &self,
+        context: &Context,
+        atlas: &mut Atlas,
+        format: TextureFormat,
+    ) -> Result<wgpu::TextureView> {
         if let Some(target) = &atlas.target {
             return Ok(target.view.clone());
         }
-        let filterable = format == TextureFormat::Rgba16Float || context.device.device.features().contains(Features::FLOAT32_FILTERABLE);
-        let format = if filterable { format } else { TextureFormat::Rgba16Float };
+        let filterable = format == TextureFormat::Rgba16Float
+            || context
+                .device
+                .device
+                .features()
+                .contains(Features::FLOAT32_FILTERABLE);
+        let format = if filterable {
+            format
+        } else {
+            TextureFormat::Rgba16Float
+        };
         let target = RenderTexture::new(context.texture_3d("no displacement maps", [1; 3], format)?);
         Ok(atlas.target.insert(target).view.clone())
     }
 
     /// Ensures that maps are in an atlas; returns whether its texture was replaced.
-    fn fill(&self, context: &Context, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
+    fn fill(
+        &self,
+        context: &Context,
+        atlas: &mut Atlas,
+        maps: &[Arc<DisplacementMap>],
+        format: TextureFormat,
+    ) -> Result<bool> {
         let missing: Vec<&Arc<DisplacementMap>> = maps.iter().filter(|m| atlas.find(m).is_none()).collect();
         // The most recently used are moved to the end.
         for map in maps {
@@ -205,7 +283,13 @@ impl MapCache {
     }
 
     /// Creates a new texture for these maps alone.
-    fn rebuild(&self, context: &Context, atlas: &mut Atlas, maps: &[Arc<DisplacementMap>], format: TextureFormat) -> Result<bool> {
+    fn rebuild(
+        &self,
+        context: &Context,
+        atlas: &mut Atlas,
+        maps: &[Arc<DisplacementMap>],
+        format: TextureFormat,
+    ) -> Result<bool> {
         let most = context.device.device.limits().max_texture_dimension_3d;
         let (packing, regions) = Atlas::packed(maps, most).ok_or_else(|| {
             Error::GpuLimit(format!(
@@ -214,15 +298,34 @@ impl MapCache {
             ))
         })?;
         let usage = TextureUsages::COPY_DST;
-        let texture = context.texture_3d_for("displacement maps", packing.size.map(|n| n as usize), format, usage)?;
-        *atlas = Atlas { target: Some(RenderTexture::new(texture)), packing, entries: Vec::new() };
+        let texture = context.texture_3d_for(
+            "displacement maps",
+            packing.size.map(|n| n as usize),
+            format,
+            usage,
+        )?;
+        *atlas = Atlas {
+            target: Some(RenderTexture::new(texture)),
+            packing,
+            entries: Vec::new(),
+        };
         self.copy_into(context, atlas, maps.iter().cloned().zip(regions).collect())?;
         Ok(true)
     }
 
-    fn copy_into(&self, context: &Context, atlas: &mut Atlas, found: Vec<(Arc<DisplacementMap>, TexelBox)>) -> Result<()> {
-        let Some(target) = atlas.target.clone() else { return Ok(()) };
-        let mut encoder = context.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    fn copy_into(
+        &self,
+        context: &Context,
+        atlas: &mut Atlas,
+        found: Vec<(Arc<DisplacementMap>, TexelBox)>,
+    ) -> Result<()> {
+        let Some(target) = atlas.target.clone() else {
+            return Ok(());
+        };
+        let mut encoder = context
+            .device
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for (map, region) in &found {
             let texture = self.map(context, map)?;
             let [x, y, z] = region.origin;
@@ -231,7 +334,9 @@ impl MapCache {
             encoder.copy_texture_to_texture(texture.as_image_copy(), to, extent(map.size));
         }
         context.device.queue.submit([encoder.finish()]);
-        atlas.entries.extend(found.into_iter().map(|(map, region)| AtlasEntry { map, region }));
+        atlas
+            .entries
+            .extend(found.into_iter().map(|(map, region)| AtlasEntry { map, region }));
         Ok(())
     }
 }

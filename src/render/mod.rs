@@ -99,7 +99,12 @@ pub struct Renderer {
 impl Renderer {
     /// A renderer on an open device.
     pub fn new(device: Device) -> Self {
-        Self { context: Context::new(device), scene: SceneCache::default(), targets: Targets::default(), clock: None }
+        Self {
+            context: Context::new(device),
+            scene: SceneCache::default(),
+            targets: Targets::default(),
+            clock: None,
+        }
     }
 
     /// The device.
@@ -121,7 +126,11 @@ impl Renderer {
     /// Whether pictures report the GPU's drawing time by its own clock, where it has one: as a
     /// separate stage, subtracted from the drawing stage.
     pub fn time_passes(&mut self, on: bool) {
-        self.clock = if on { PassTimer::new(&self.context.device.device, &self.context.tally).map(Arc::new) } else { None };
+        self.clock = if on {
+            PassTimer::new(&self.context.device.device, &self.context.tally).map(Arc::new)
+        } else {
+            None
+        };
     }
 
     /// Limits volumes below the device's limits: voxels along an axis, and bytes of a texture.
@@ -143,7 +152,12 @@ impl Renderer {
 
     /// Writes the changed inputs of a scene, and returns the bindings of its picture.
     fn shared(&mut self, scene: &Prepared) -> Result<SceneBindings> {
-        let nothing = self.targets.layer(&self.context, ["nothing: colour", "nothing: distance", "nothing: depth"], 1, 1);
+        let nothing = self.targets.layer(
+            &self.context,
+            ["nothing: colour", "nothing: distance", "nothing: depth"],
+            1,
+            1,
+        );
         self.scene.bindings(&self.context, scene, nothing)
     }
 
@@ -155,7 +169,9 @@ impl Renderer {
 
     /// The GPU's drawing time since [`Self::restart_clock`], by its own clock, milliseconds.
     fn clocked(&self) -> Result<Option<f64>> {
-        self.clock.as_ref().map_or(Ok(None), |clock| clock.milliseconds(&self.context))
+        self.clock
+            .as_ref()
+            .map_or(Ok(None), |clock| clock.milliseconds(&self.context))
     }
 
     /// The work done since the renderer was created.
@@ -181,20 +197,40 @@ impl Renderer {
         let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
-            let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
+            let picture = Picture {
+                width,
+                height,
+                pixels,
+            }
+            .reduced(scene.settings.antialias);
             return Ok(scene.rendered(picture, Some(RenderStats::default()), stages, Vec::new()));
         }
         stages.time("upload", || -> Result<()> {
-            self.scene.volume.upload(&self.context, scene.volume().grid, scene.volume().colors)?;
+            self.scene
+                .volume
+                .upload(&self.context, scene.volume().grid, scene.volume().colors)?;
             if shows_volume {
                 self.scene.volume.upload_gradients(&self.context, scene)?;
             }
             wait(&self.context.device.device)
         })?;
-        let reduced: Vec<String> = self.scene.volume.texture.as_ref().and_then(|v| v.notice.clone()).filter(|_| shows_volume).into_iter().collect();
+        let reduced: Vec<String> = self
+            .scene
+            .volume
+            .texture
+            .as_ref()
+            .and_then(|v| v.notice.clone())
+            .filter(|_| shows_volume)
+            .into_iter()
+            .collect();
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| self.targets.fresh_counter(&self.context));
-        let inputs = PictureInputs { scene, shared: &shared, counter: counter.as_ref(), watch };
+        let inputs = PictureInputs {
+            scene,
+            shared: &shared,
+            counter: counter.as_ref(),
+            watch,
+        };
         let behind = self.draw_surfaces_behind(&inputs, &mut stages)?;
         let target = if let (false, Some(layer)) = (shows_volume, &behind) {
             layer.color.clone()
@@ -203,10 +239,20 @@ impl Renderer {
         };
         let pixels = stages.time("readback", || {
             let buffer = self.targets.readback(&self.context, texture_bytes(&target));
-            read_rgba16f(&self.context.device.device, &self.context.device.queue, &target, &buffer)
+            read_rgba16f(
+                &self.context.device.device,
+                &self.context.device.queue,
+                &target,
+                &buffer,
+            )
         })?;
         let stats = counter.map(|c| c.read(&self.context)).transpose()?;
-        let picture = Picture { width, height, pixels }.reduced(scene.settings.antialias);
+        let picture = Picture {
+            width,
+            height,
+            pixels,
+        }
+        .reduced(scene.settings.antialias);
         Ok(scene.rendered(picture, stats, stages, reduced))
     }
 
@@ -222,7 +268,12 @@ impl Renderer {
         }
         if scene.settings.mode == Mode::Slice
             && scene.volume().blend != Blend::Composite
-            && !self.context.device.device.features().contains(Features::FLOAT32_BLENDABLE)
+            && !self
+                .context
+                .device
+                .device
+                .features()
+                .contains(Features::FLOAT32_BLENDABLE)
         {
             return Err(Error::GpuLimit("this GPU cannot blend 32-bit values, which projections by slices need (mode slice, not raycast)".into()));
         }
@@ -230,13 +281,19 @@ impl Renderer {
     }
 
     /// Draws the surfaces of a scene, if it has any, into the layer behind its volume.
-    fn draw_surfaces_behind(&mut self, inputs: &PictureInputs, stages: &mut StageTimes) -> Result<Option<Layer>> {
+    fn draw_surfaces_behind(
+        &mut self,
+        inputs: &PictureInputs,
+        stages: &mut StageTimes,
+    ) -> Result<Option<Layer>> {
         if inputs.scene.surfaces.objects.is_empty() {
             self.scene.surfaces.forget_large_fields();
             return Ok(None);
         }
         self.restart_clock();
-        let drawn = stages.time("surfaces drawn", || self.draw_surfaces(inputs.scene, inputs.shared, inputs.counter, inputs.watch))?;
+        let drawn = stages.time("surfaces drawn", || {
+            self.draw_surfaces(inputs.scene, inputs.shared, inputs.counter, inputs.watch)
+        })?;
         if let Some(drawing) = self.clocked()? {
             stages.divide("surfaces drawn", "surfaces drawn (GPU time)", drawing);
         }
@@ -244,14 +301,38 @@ impl Renderer {
     }
 
     /// Draws the volume of a scene in front of a layer of surfaces, and returns the picture.
-    fn draw_volume(&mut self, inputs: &PictureInputs, behind: Option<&Layer>, stages: &mut StageTimes) -> Result<wgpu::Texture> {
-        let PictureInputs { scene, shared, counter, watch } = *inputs;
+    fn draw_volume(
+        &mut self,
+        inputs: &PictureInputs,
+        behind: Option<&Layer>,
+        stages: &mut StageTimes,
+    ) -> Result<wgpu::Texture> {
+        let PictureInputs {
+            scene,
+            shared,
+            counter,
+            watch,
+        } = *inputs;
         let [width, height] = scene.frame.size;
         let bindings = self.scene.group(&self.context, shared, behind);
-        let target = self.targets.target(&self.context, "picture", width, height, TextureFormat::Rgba16Float);
+        let target = self.targets.target(
+            &self.context,
+            "picture",
+            width,
+            height,
+            TextureFormat::Rgba16Float,
+        );
         stages.time("pipelines", || self.context.compile(scene, counter.is_some()));
         let clock = self.clock.clone();
-        let draw = Draw { scene, bindings: &bindings, behind, counter, target: &target, watch, clock: clock.as_deref() };
+        let draw = Draw {
+            scene,
+            bindings: &bindings,
+            behind,
+            counter,
+            target: &target,
+            watch,
+            clock: clock.as_deref(),
+        };
         self.restart_clock();
         stages.time("draw", || match scene.settings.mode {
             Mode::Raycast => self.draw_rays(&draw),

@@ -67,19 +67,36 @@ impl SurfaceCache {
         let own = SurfaceObjectUniform::new(scene, object);
         let mut solids: [PlacedSolidUniform; MAX_SOLIDS] = [bytemuck::Zeroable::zeroed(); MAX_SOLIDS];
         if let Some(Implicit::Formula(f)) = &object.implicit {
-            solids.iter_mut().zip(&f.0).for_each(|(u, s)| *u = PlacedSolidUniform::new(s));
+            solids
+                .iter_mut()
+                .zip(&f.0)
+                .for_each(|(u, s)| *u = PlacedSolidUniform::new(s));
         }
         let mut deformers: [DeformerUniform; MAX_DEFORMERS] = [bytemuck::Zeroable::zeroed(); MAX_DEFORMERS];
-        deformers.iter_mut().zip(&object.deformers).for_each(|(u, d)| *u = DeformerUniform::new(d));
-        let contents: [&[u8]; 3] = [bytemuck::bytes_of(&own), bytemuck::cast_slice(&solids), bytemuck::cast_slice(&deformers)];
+        deformers
+            .iter_mut()
+            .zip(&object.deformers)
+            .for_each(|(u, d)| *u = DeformerUniform::new(d));
+        let contents: [&[u8]; 3] = [
+            bytemuck::bytes_of(&own),
+            bytemuck::cast_slice(&solids),
+            bytemuck::cast_slice(&deformers),
+        ];
         let uniforms = match &before {
             Some(cached) => {
-                cached.uniforms.iter().zip(contents).for_each(|(buffer, bytes)| context.device.queue.write_buffer(buffer, 0, bytes));
+                cached
+                    .uniforms
+                    .iter()
+                    .zip(contents)
+                    .for_each(|(buffer, bytes)| context.device.queue.write_buffer(buffer, 0, bytes));
                 cached.uniforms.clone()
             }
             None => contents.map(|bytes| context.buffer_of("object", bytes, wgpu::BufferUsages::UNIFORM)),
         };
-        let implicit = object.implicit.as_ref().filter(|i| !matches!(i, Implicit::Formula(_)));
+        let implicit = object
+            .implicit
+            .as_ref()
+            .filter(|i| !matches!(i, Implicit::Formula(_)));
         let sampled = implicit.map(SolidIdentity::from);
         let field = match &before {
             Some(cached) if cached.sampled == sampled => cached.field.clone(),
@@ -89,9 +106,11 @@ impl SurfaceCache {
             Some(cached) if Arc::ptr_eq(&cached.of_cells, &object.cells) => cached.cells.clone(),
             _ => context.upload_cells(&object.cells, before.as_ref().map(|cached| &cached.cells))?,
         };
-        let corners = object.triangles.as_ref().map(|t| match before.as_ref().and_then(|cached| cached.corners.as_ref()) {
-            Some(corners) if Arc::ptr_eq(&corners.of, t) => corners.clone(),
-            _ => context.upload_corners(t),
+        let corners = object.triangles.as_ref().map(|t| {
+            match before.as_ref().and_then(|cached| cached.corners.as_ref()) {
+                Some(corners) if Arc::ptr_eq(&corners.of, t) => corners.clone(),
+                _ => context.upload_corners(t),
+            }
         });
         let group = match &before {
             Some(cached) if (&cached.field, &cached.cells) == (&field, &cells) => cached.group.clone(),
@@ -99,22 +118,50 @@ impl SurfaceCache {
                 "object",
                 &context.object_layout(),
                 &[
-                    wgpu::BindGroupEntry { binding: 0, resource: uniforms[0].as_entire_binding() },
-                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&field.view) },
-                    wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&cells.view) },
-                    wgpu::BindGroupEntry { binding: 3, resource: uniforms[1].as_entire_binding() },
-                    wgpu::BindGroupEntry { binding: 4, resource: uniforms[2].as_entire_binding() },
+                    wgpu::BindGroupEntry {
+                        binding: 0,
+                        resource: uniforms[0].as_entire_binding(),
+                    },
+                    wgpu::BindGroupEntry {
+                        binding: 1,
+                        resource: wgpu::BindingResource::TextureView(&field.view),
+                    },
+                    wgpu::BindGroupEntry {
+                        binding: 2,
+                        resource: wgpu::BindingResource::TextureView(&cells.view),
+                    },
+                    wgpu::BindGroupEntry {
+                        binding: 3,
+                        resource: uniforms[1].as_entire_binding(),
+                    },
+                    wgpu::BindGroupEntry {
+                        binding: 4,
+                        resource: uniforms[2].as_entire_binding(),
+                    },
                 ],
             ),
         };
         let bound = (group.clone(), corners.clone());
-        self.objects[n] = Some(CachedObject { uniforms, sampled, field, of_cells: object.cells.clone(), cells, corners, group });
+        self.objects[n] = Some(CachedObject {
+            uniforms,
+            sampled,
+            field,
+            of_cells: object.cells.clone(),
+            cells,
+            corners,
+            group,
+        });
         Ok(bound)
     }
 
     /// Evicts large fields if no surface is drawn; small ones stay cached.
     pub(super) fn forget_large_fields(&mut self) {
-        let bytes: u64 = self.objects.iter().flatten().map(|cached| crate::gpu::texture_bytes(&cached.field.texture)).sum();
+        let bytes: u64 = self
+            .objects
+            .iter()
+            .flatten()
+            .map(|cached| crate::gpu::texture_bytes(&cached.field.texture))
+            .sum();
         if bytes > MAX_CACHED_FIELD_BYTES {
             self.objects.clear();
         }
@@ -124,24 +171,54 @@ impl SurfaceCache {
 impl Context {
     pub(super) fn object_layout(&self) -> wgpu::BindGroupLayout {
         let visibility = wgpu::ShaderStages::VERTEX_FRAGMENT;
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None };
-        let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility,
+            ty,
+            count: None,
+        };
+        let uniform = wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
         let texture = |filterable| wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable },
             view_dimension: wgpu::TextureViewDimension::D3,
             multisampled: false,
         };
-        self.device.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("object"),
-            entries: &[entry(0, uniform), entry(1, texture(true)), entry(2, texture(false)), entry(3, uniform), entry(4, uniform)],
-        })
+        self.device
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some("object"),
+                entries: &[
+                    entry(0, uniform),
+                    entry(1, texture(true)),
+                    entry(2, texture(false)),
+                    entry(3, uniform),
+                    entry(4, uniform),
+                ],
+            })
     }
 
     /// Uploads triangles in the layout of the vertex shader.
     fn upload_corners(&self, triangles: &Arc<Triangles>) -> Corners {
-        let corners: Vec<MeshCorner> = triangles.undeformed.iter().flatten().map(|(p, n)| [p.to_array(), n.to_array()]).collect();
-        let buffer = self.buffer_of("triangles", bytemuck::cast_slice(&corners), wgpu::BufferUsages::VERTEX);
-        Corners { of: triangles.clone(), buffer, count: corners.len() as u32 }
+        let corners: Vec<MeshCorner> = triangles
+            .undeformed
+            .iter()
+            .flatten()
+            .map(|(p, n)| [p.to_array(), n.to_array()])
+            .collect();
+        let buffer = self.buffer_of(
+            "triangles",
+            bytemuck::cast_slice(&corners),
+            wgpu::BufferUsages::VERTEX,
+        );
+        Corners {
+            of: triangles.clone(),
+            buffer,
+            count: corners.len() as u32,
+        }
     }
 
     /// Uploads the cells around an object, into the existing texture if they fit.
@@ -152,7 +229,13 @@ impl Context {
             _ => RenderTexture::new(self.texture_3d("cells of a surface", size, TextureFormat::Rg32Float)?),
         };
         self.tally.count(ResourceKind::Cells);
-        let texels: Vec<[f32; 2]> = cells.grid.distance.iter().zip(&cells.slope).map(|(d, s)| [f32::from(*d), *s]).collect();
+        let texels: Vec<[f32; 2]> = cells
+            .grid
+            .distance
+            .iter()
+            .zip(&cells.slope)
+            .map(|(d, s)| [f32::from(*d), *s])
+            .collect();
         self.write_layers(&target.texture, 0, bytemuck::cast_slice(&texels), size);
         Ok(target)
     }
@@ -166,7 +249,15 @@ impl Context {
         };
         // Depths are compared with each other, hence need uniform precision.
         let format = match implicit {
-            Some(Implicit::Depth(_)) if self.device.device.features().contains(wgpu::Features::FLOAT32_FILTERABLE) => TextureFormat::R32Float,
+            Some(Implicit::Depth(_))
+                if self
+                    .device
+                    .device
+                    .features()
+                    .contains(wgpu::Features::FLOAT32_FILTERABLE) =>
+            {
+                TextureFormat::R32Float
+            }
             _ => TextureFormat::R16Float,
         };
         let texture = self.texture_3d("distance field", size, format)?;
@@ -180,7 +271,10 @@ impl Context {
             if format == TextureFormat::R32Float {
                 self.write_layers(&texture, first, bytemuck::cast_slice(part), size);
             } else {
-                let halves: Vec<u16> = part.par_iter().map(|v| f16::from_f32(v.clamp(-60000.0, 60000.0)).to_bits()).collect();
+                let halves: Vec<u16> = part
+                    .par_iter()
+                    .map(|v| f16::from_f32(v.clamp(-60000.0, 60000.0)).to_bits())
+                    .collect();
                 self.write_layers(&texture, first, bytemuck::cast_slice(&halves), size);
             }
         }

@@ -40,7 +40,10 @@ impl PassTimer {
                 count: 2 * MAX_TIMED_PASSES,
             }),
             resolved: buffer("timestamps", BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC),
-            back: buffer("timestamps, to read", BufferUsages::MAP_READ | BufferUsages::COPY_DST),
+            back: buffer(
+                "timestamps, to read",
+                BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+            ),
             passes: AtomicU32::new(0),
         })
     }
@@ -52,20 +55,22 @@ impl PassTimer {
 
     /// The timestamp writes of the next render pass; none if there are too many passes.
     pub fn next(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
-        self.next_pass().map(|[beginning, end]| wgpu::RenderPassTimestampWrites {
-            query_set: &self.set,
-            beginning_of_pass_write_index: Some(beginning),
-            end_of_pass_write_index: Some(end),
-        })
+        self.next_pass()
+            .map(|[beginning, end]| wgpu::RenderPassTimestampWrites {
+                query_set: &self.set,
+                beginning_of_pass_write_index: Some(beginning),
+                end_of_pass_write_index: Some(end),
+            })
     }
 
     /// The same for a compute pass.
     pub fn next_computing(&self) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
-        self.next_pass().map(|[beginning, end]| wgpu::ComputePassTimestampWrites {
-            query_set: &self.set,
-            beginning_of_pass_write_index: Some(beginning),
-            end_of_pass_write_index: Some(end),
-        })
+        self.next_pass()
+            .map(|[beginning, end]| wgpu::ComputePassTimestampWrites {
+                query_set: &self.set,
+                beginning_of_pass_write_index: Some(beginning),
+                end_of_pass_write_index: Some(end),
+            })
     }
 
     fn next_pass(&self) -> Option<[u32; 2]> {
@@ -86,7 +91,13 @@ impl PassTimer {
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.back, 0, self.back.size());
         queue.submit([encoder.finish()]);
         let stamps: Vec<u64> = bytemuck::pod_collect_to_vec(&read_buffer(device, &self.back)?);
-        let ticks: u64 = stamps.chunks_exact(2).take(passes as usize).map(|pass| pass[1].saturating_sub(pass[0])).sum();
-        Ok(Some(ticks as f64 * f64::from(queue.get_timestamp_period()) * 1e-6))
+        let ticks: u64 = stamps
+            .chunks_exact(2)
+            .take(passes as usize)
+            .map(|pass| pass[1].saturating_sub(pass[0]))
+            .sum();
+        Ok(Some(
+            ticks as f64 * f64::from(queue.get_timestamp_period()) * 1e-6,
+        ))
     }
 }

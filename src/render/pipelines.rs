@@ -15,23 +15,39 @@ use wgpu::TextureFormat;
 
 impl Context {
     pub(super) fn variant(&self, scene: &Prepared, program: Program, counting: bool) -> Variant {
-        let march = matches!(program, Program::Raycast | Program::RaycastCompute | Program::Slice);
+        let march = matches!(
+            program,
+            Program::Raycast | Program::RaycastCompute | Program::Slice
+        );
         Variant {
             program,
             exact: self.strategy.exact_filter,
             counting: counting && (march || program == Program::Surface),
             maps: scene.stack.maps().len(),
             precomposed: scene.stack.precomposed().is_some(),
-            normals: if scene.is_lit() { scene.settings.normals } else { Normals::None },
+            normals: if scene.is_lit() {
+                scene.settings.normals
+            } else {
+                Normals::None
+            },
             blend: scene.volume().blend,
             gradient: scene.gradient_filter(),
-            slab: if program != Program::Slice || scene.proxy_mesh.is_some() { 1 } else { slices::SLICES_PER_SLAB as u32 },
+            slab: if program != Program::Slice || scene.proxy_mesh.is_some() {
+                1
+            } else {
+                slices::SLICES_PER_SLAB as u32
+            },
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
-            iso: scene.volume().iso.filter(|_| scene.volume().blend == Blend::Composite).map(|_| scene.settings.iso_light),
+            iso: scene
+                .volume()
+                .iso
+                .filter(|_| scene.volume().blend == Blend::Composite)
+                .map(|_| scene.settings.iso_light),
             colors: scene.volume().colors.is_some(),
             preintegrated: scene.preintegrated() && march,
-            behind: (march || matches!(program, Program::Resolve | Program::SurfacesBehind)) && !scene.surfaces.objects.is_empty(),
+            behind: (march || matches!(program, Program::Resolve | Program::SurfacesBehind))
+                && !scene.surfaces.objects.is_empty(),
         }
     }
 
@@ -42,7 +58,10 @@ impl Context {
             (Mode::Slice, Blend::Composite) => vec![Program::Slice, Program::Opaque],
             (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
         };
-        if scene.settings.mode == Mode::Slice && scene.volume().blend == Blend::Composite && !scene.surfaces.objects.is_empty() {
+        if scene.settings.mode == Mode::Slice
+            && scene.volume().blend == Blend::Composite
+            && !scene.surfaces.objects.is_empty()
+        {
             programs.push(Program::SurfacesBehind);
         }
         for program in programs {
@@ -57,7 +76,10 @@ impl Context {
 
     /// The pipeline of a variant, compiled on first use.
     pub(super) fn pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
-        lock(&self.pipelines).entry(variant).or_insert_with(|| self.compiled(variant)).clone()
+        lock(&self.pipelines)
+            .entry(variant)
+            .or_insert_with(|| self.compiled(variant))
+            .clone()
     }
 
     /// Compiles the pipeline of a variant.
@@ -66,11 +88,19 @@ impl Context {
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
-            source: wgpu::ShaderSource::Wgsl(variant.program.source(wgsl_constants(), variant.counting).into()),
+            source: wgpu::ShaderSource::Wgsl(
+                variant.program.source(wgsl_constants(), variant.counting).into(),
+            ),
         });
         let constants = overrides(&variant);
-        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
-        let masked = matches!((variant.program, variant.blend), (Program::Slice, Blend::Composite) | (Program::Opaque, _));
+        let options = wgpu::PipelineCompilationOptions {
+            constants: &constants,
+            ..Default::default()
+        };
+        let masked = matches!(
+            (variant.program, variant.blend),
+            (Program::Slice, Blend::Composite) | (Program::Opaque, _)
+        );
         let has_corners = matches!(variant.program, Program::Slice | Program::Opaque);
         let color = [Some(color_target(&variant))];
         let own_layout = match variant.program {
@@ -111,7 +141,11 @@ impl Context {
                 module: &module,
                 entry_point: Some("fragment"),
                 compilation_options: options,
-                targets: if variant.program == Program::Opaque { &[] } else { &color },
+                targets: if variant.program == Program::Opaque {
+                    &[]
+                } else {
+                    &color
+                },
             }),
             multiview_mask: None,
             cache: None,
@@ -127,18 +161,34 @@ fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
         dst_factor: wgpu::BlendFactor::One,
         operation: wgpu::BlendOperation::Add,
     };
-    let under = wgpu::BlendState { color: through, alpha: through };
+    let under = wgpu::BlendState {
+        color: through,
+        alpha: through,
+    };
     let gather = |operation| {
-        let component = wgpu::BlendComponent { src_factor: wgpu::BlendFactor::One, dst_factor: wgpu::BlendFactor::One, operation };
-        wgpu::BlendState { color: component, alpha: component }
+        let component = wgpu::BlendComponent {
+            src_factor: wgpu::BlendFactor::One,
+            dst_factor: wgpu::BlendFactor::One,
+            operation,
+        };
+        wgpu::BlendState {
+            color: component,
+            alpha: component,
+        }
     };
     let (format, blend) = match (variant.program, variant.blend) {
-        (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (TextureFormat::Rgba16Float, Some(under)),
+        (Program::Slice | Program::SurfacesBehind, Blend::Composite) => {
+            (TextureFormat::Rgba16Float, Some(under))
+        }
         (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
         (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
         _ => (TextureFormat::Rgba16Float, None),
     };
-    wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL }
+    wgpu::ColorTargetState {
+        format,
+        blend,
+        write_mask: wgpu::ColorWrites::ALL,
+    }
 }
 
 pub(super) fn gathered_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {

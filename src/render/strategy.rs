@@ -25,10 +25,18 @@ impl Strategy {
     pub fn of(device: &Device) -> Self {
         let hardware = !device.is_software();
         let computes = hardware && device.computes();
-        Self { exact_filter: hardware, compute_rays: computes, prepare: computes }
+        Self {
+            exact_filter: hardware,
+            compute_rays: computes,
+            prepare: computes,
+        }
     }
 
     pub(super) fn rays(self) -> Program {
-        if self.compute_rays { Program::RaycastCompute } else { Program::Raycast }
+        if self.compute_rays {
+            Program::RaycastCompute
+        } else {
+            Program::Raycast
+        }
     }
 }

@@ -33,27 +33,53 @@ impl Context {
         self.surface_pass(layer, clock, true, |_| {});
     }
 
-    fn surface_pass(&self, layer: &Layer, clock: Option<&PassTimer>, clear: bool, record: impl FnOnce(&mut wgpu::RenderPass)) {
+    fn surface_pass(
+        &self,
+        layer: &Layer,
+        clock: Option<&PassTimer>,
+        clear: bool,
+        record: impl FnOnce(&mut wgpu::RenderPass),
+    ) {
         let color = |view, value| {
             Some(wgpu::RenderPassColorAttachment {
                 view,
                 depth_slice: None,
                 resolve_target: None,
-                ops: wgpu::Operations { load: if clear { wgpu::LoadOp::Clear(value) } else { wgpu::LoadOp::Load }, store: wgpu::StoreOp::Store },
+                ops: wgpu::Operations {
+                    load: if clear {
+                        wgpu::LoadOp::Clear(value)
+                    } else {
+                        wgpu::LoadOp::Load
+                    },
+                    store: wgpu::StoreOp::Store,
+                },
             })
         };
-        let mut encoder = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut encoder = self
+            .device
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("surfaces"),
                 color_attachments: &[
                     color(&layer.color_view, wgpu::Color::TRANSPARENT),
-                    color(&layer.distance_view, wgpu::Color { r: FAR_AWAY, ..wgpu::Color::TRANSPARENT }),
+                    color(
+                        &layer.distance_view,
+                        wgpu::Color {
+                            r: FAR_AWAY,
+                            ..wgpu::Color::TRANSPARENT
+                        },
+                    ),
                 ],
                 depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                     view: &layer.depth_view,
                     depth_ops: Some(wgpu::Operations {
-                        load: if clear { wgpu::LoadOp::Clear(1.0) } else { wgpu::LoadOp::Load },
+                        load: if clear {
+                            wgpu::LoadOp::Clear(1.0)
+                        } else {
+                            wgpu::LoadOp::Load
+                        },
                         store: wgpu::StoreOp::Store,
                     }),
                     stencil_ops: None,
@@ -69,7 +95,10 @@ impl Context {
 
     /// The pipeline of a variant, compiled on first use.
     fn surface_pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
-        lock(&self.pipelines).entry(variant).or_insert_with(|| self.compiled_surface(variant)).clone()
+        lock(&self.pipelines)
+            .entry(variant)
+            .or_insert_with(|| self.compiled_surface(variant))
+            .clone()
     }
 
     fn compiled_surface(&self, variant: Variant) -> wgpu::RenderPipeline {
@@ -77,10 +106,15 @@ impl Context {
         let device = &self.device.device;
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(&format!("{:?}", variant.program)),
-            source: wgpu::ShaderSource::Wgsl(variant.program.source(wgsl_constants(), variant.counting).into()),
+            source: wgpu::ShaderSource::Wgsl(
+                variant.program.source(wgsl_constants(), variant.counting).into(),
+            ),
         });
         let constants = overrides(&variant);
-        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
+        let options = wgpu::PipelineCompilationOptions {
+            constants: &constants,
+            ..Default::default()
+        };
         let counts = variant.counting.then(|| Counter::layout(device));
         let object = self.object_layout();
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -94,7 +128,13 @@ impl Context {
             attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3],
         };
         let buffers = [Some(corner)];
-        let target = |format| Some(wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::ALL });
+        let target = |format| {
+            Some(wgpu::ColorTargetState {
+                format,
+                blend: None,
+                write_mask: wgpu::ColorWrites::ALL,
+            })
+        };
         device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some(&format!("{:?}", variant.program)),
             layout: Some(&layout),
@@ -102,7 +142,11 @@ impl Context {
                 module: &module,
                 entry_point: Some("vertex"),
                 compilation_options: options.clone(),
-                buffers: if variant.program == Program::Mesh { &buffers } else { &[] },
+                buffers: if variant.program == Program::Mesh {
+                    &buffers
+                } else {
+                    &[]
+                },
             },
             primitive: wgpu::PrimitiveState::default(),
             depth_stencil: Some(wgpu::DepthStencilState {
@@ -117,7 +161,10 @@ impl Context {
                 module: &module,
                 entry_point: Some("fragment"),
                 compilation_options: options,
-                targets: &[target(TextureFormat::Rgba16Float), target(TextureFormat::R32Float)],
+                targets: &[
+                    target(TextureFormat::Rgba16Float),
+                    target(TextureFormat::R32Float),
+                ],
             }),
             multiview_mask: None,
             cache: None,
@@ -127,18 +174,36 @@ impl Context {
 
 impl Renderer {
     /// Draws all surfaces of a scene.
-    pub(super) fn draw_surfaces(&mut self, scene: &Prepared, shared: &SceneBindings, counter: Option<&Counter>, watch: &Watch) -> Result<Layer> {
+    pub(super) fn draw_surfaces(
+        &mut self,
+        scene: &Prepared,
+        shared: &SceneBindings,
+        counter: Option<&Counter>,
+        watch: &Watch,
+    ) -> Result<Layer> {
         let [width, height] = scene.frame.size;
-        let layer = self.targets.layer(&self.context, ["surfaces: colour", "surfaces: distance", "surfaces: depth"], width, height);
+        let layer = self.targets.layer(
+            &self.context,
+            ["surfaces: colour", "surfaces: distance", "surfaces: depth"],
+            width,
+            height,
+        );
         self.context.clear(&layer, self.clock.as_deref());
         let count = scene.surfaces.objects.len();
         for (n, object) in scene.surfaces.objects.iter().enumerate() {
             let (group, corners) = self.scene.surfaces.bind_object(&self.context, n, scene, object)?;
             let nothing_behind = self.scene.group(&self.context, shared, None);
             match (object.stage, &corners) {
-                (Stage::Triangles, Some(corners)) => self.draw_mesh(scene, &layer, &nothing_behind, &group, corners)?,
+                (Stage::Triangles, Some(corners)) => {
+                    self.draw_mesh(scene, &layer, &nothing_behind, &group, corners)?
+                }
                 (Stage::Both(_), Some(corners)) => {
-                    let drawn = self.targets.layer(&self.context, ["triangles: colour", "triangles: distance", "triangles: depth"], width, height);
+                    let drawn = self.targets.layer(
+                        &self.context,
+                        ["triangles: colour", "triangles: distance", "triangles: depth"],
+                        width,
+                        height,
+                    );
                     self.context.clear(&drawn, self.clock.as_deref());
                     self.draw_mesh(scene, &drawn, &nothing_behind, &group, corners)?;
                     let behind = self.scene.group(&self.context, shared, Some(&drawn));
@@ -153,34 +218,50 @@ impl Renderer {
         Ok(layer)
     }
 
-    fn draw_mesh(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, corners: &Corners) -> Result<()> {
+    fn draw_mesh(
+        &mut self,
+        scene: &Prepared,
+        layer: &Layer,
+        shared: &wgpu::BindGroup,
+        group: &wgpu::BindGroup,
+        corners: &Corners,
+    ) -> Result<()> {
         let variant = self.context.variant(scene, Program::Mesh, false);
         let pipeline = &self.context.surface_pipeline(variant);
-        self.context.surface_pass(layer, self.clock.as_deref(), false, |pass| {
-            pass.set_pipeline(pipeline);
-            pass.set_bind_group(0, shared, &[]);
-            pass.set_bind_group(2, group, &[]);
-            pass.set_vertex_buffer(0, corners.buffer.slice(..));
-            pass.draw(0..corners.count, 0..1);
-        });
+        self.context
+            .surface_pass(layer, self.clock.as_deref(), false, |pass| {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, shared, &[]);
+                pass.set_bind_group(2, group, &[]);
+                pass.set_vertex_buffer(0, corners.buffer.slice(..));
+                pass.draw(0..corners.count, 0..1);
+            });
         crate::gpu::wait(&self.context.device.device)
     }
 
-    fn cast(&mut self, scene: &Prepared, layer: &Layer, shared: &wgpu::BindGroup, group: &wgpu::BindGroup, counter: Option<&Counter>) -> Result<()> {
+    fn cast(
+        &mut self,
+        scene: &Prepared,
+        layer: &Layer,
+        shared: &wgpu::BindGroup,
+        group: &wgpu::BindGroup,
+        counter: Option<&Counter>,
+    ) -> Result<()> {
         let variant = self.context.variant(scene, Program::Surface, counter.is_some());
         let pipeline = &self.context.surface_pipeline(variant);
         let [width, height] = scene.frame.size;
         for top in (0..height).step_by(ROWS_AT_ONCE as usize) {
-            self.context.surface_pass(layer, self.clock.as_deref(), false, |pass| {
-                pass.set_scissor_rect(0, top, width, ROWS_AT_ONCE.min(height - top));
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, shared, &[]);
-                if let Some(counter) = counter {
-                    pass.set_bind_group(1, &counter.group, &[]);
-                }
-                pass.set_bind_group(2, group, &[]);
-                pass.draw(0..3, 0..1);
-            });
+            self.context
+                .surface_pass(layer, self.clock.as_deref(), false, |pass| {
+                    pass.set_scissor_rect(0, top, width, ROWS_AT_ONCE.min(height - top));
+                    pass.set_pipeline(pipeline);
+                    pass.set_bind_group(0, shared, &[]);
+                    if let Some(counter) = counter {
+                        pass.set_bind_group(1, &counter.group, &[]);
+                    }
+                    pass.set_bind_group(2, group, &[]);
+                    pass.draw(0..3, 0..1);
+                });
             crate::gpu::wait(&self.context.device.device)?;
         }
         Ok(())
@@ -194,14 +275,32 @@ impl Renderer {
     pub fn surface_distances(&mut self, scene: &Prepared) -> Result<Vec<f32>> {
         let device = self.context.device.device.clone();
         crate::gpu::checked(&device, || {
-            self.scene.volume.upload(&self.context, scene.volume().grid, scene.volume().colors)?;
+            self.scene
+                .volume
+                .upload(&self.context, scene.volume().grid, scene.volume().colors)?;
             let shared = self.shared(scene)?;
             let layer = self.draw_surfaces(scene, &shared, None, &Watch::NONE)?;
             let distances = {
-                let buffer = self.targets.readback(&self.context, crate::gpu::texture_bytes(&layer.distance));
-                crate::gpu::read_r32f(&self.context.device.device, &self.context.device.queue, &layer.distance, &buffer)?
+                let buffer = self
+                    .targets
+                    .readback(&self.context, crate::gpu::texture_bytes(&layer.distance));
+                crate::gpu::read_r32f(
+                    &self.context.device.device,
+                    &self.context.device.queue,
+                    &layer.distance,
+                    &buffer,
+                )?
             };
-            Ok(distances.into_iter().map(|t| if f64::from(t) < 0.99 * FAR_AWAY { t } else { f32::INFINITY }).collect())
+            Ok(distances
+                .into_iter()
+                .map(|t| {
+                    if f64::from(t) < 0.99 * FAR_AWAY {
+                        t
+                    } else {
+                        f32::INFINITY
+                    }
+                })
+                .collect())
         })
     }
 }

@@ -60,8 +60,17 @@ pub(super) struct Targets {
 impl Targets {
     /// A 2D texture to draw into and to read, cached by purpose, size and format. Its content is
     /// unchanged.
-    pub(super) fn target(&mut self, context: &Context, purpose: &'static str, width: u32, height: u32, format: TextureFormat) -> RenderTexture {
-        let fits = |t: &RenderTexture| (t.texture.width(), t.texture.height(), t.texture.format()) == (width, height, format);
+    pub(super) fn target(
+        &mut self,
+        context: &Context,
+        purpose: &'static str,
+        width: u32,
+        height: u32,
+        format: TextureFormat,
+    ) -> RenderTexture {
+        let fits = |t: &RenderTexture| {
+            (t.texture.width(), t.texture.height(), t.texture.format()) == (width, height, format)
+        };
         let targets = &mut self.targets;
         if let Some(at) = targets.iter().position(|(p, t)| *p == purpose && fits(t)) {
             let found = targets.remove(at);
@@ -69,7 +78,11 @@ impl Targets {
             targets.push(found);
             return target;
         }
-        let mut same = targets.iter().enumerate().filter(|(_, (p, _))| *p == purpose).map(|(n, _)| n);
+        let mut same = targets
+            .iter()
+            .enumerate()
+            .filter(|(_, (p, _))| *p == purpose)
+            .map(|(n, _)| n);
         if let (Some(oldest), others) = (same.next(), same.count())
             && others + 1 >= MAX_CACHED_SIZES
         {
@@ -79,7 +92,11 @@ impl Targets {
         let storable = format == TextureFormat::Rgba16Float && context.device.computes();
         let target = RenderTexture::new(context.texture(&wgpu::TextureDescriptor {
             label: Some(purpose),
-            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            size: wgpu::Extent3d {
+                width,
+                height,
+                depth_or_array_layers: 1,
+            },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
@@ -88,7 +105,11 @@ impl Targets {
                 | TextureUsages::COPY_SRC
                 | TextureUsages::COPY_DST
                 | TextureUsages::TEXTURE_BINDING
-                | if storable { TextureUsages::STORAGE_BINDING } else { TextureUsages::empty() },
+                | if storable {
+                    TextureUsages::STORAGE_BINDING
+                } else {
+                    TextureUsages::empty()
+                },
             view_formats: &[],
         }));
         self.targets.push((purpose, target.clone()));
@@ -100,7 +121,8 @@ impl Targets {
         match &self.readback {
             Some(buffer) if buffer.size() >= size => buffer.clone(),
             _ => {
-                let buffer = context.buffer("readback", size, BufferUsages::COPY_DST | BufferUsages::MAP_READ);
+                let buffer =
+                    context.buffer("readback", size, BufferUsages::COPY_DST | BufferUsages::MAP_READ);
                 self.readback.insert(buffer).clone()
             }
         }
@@ -125,7 +147,10 @@ impl Targets {
     /// The counters, reset to zero.
     pub(super) fn fresh_counter(&mut self, context: &Context) -> Counter {
         if let Some(counter) = &self.counter {
-            context.device.queue.write_buffer(&counter.buffer, 0, &[0; COUNTERS * 4]);
+            context
+                .device
+                .queue
+                .write_buffer(&counter.buffer, 0, &[0; COUNTERS * 4]);
             return counter.clone();
         }
         let counter = Counter::new(context);
@@ -133,10 +158,22 @@ impl Targets {
     }
 
     /// A layer for a purpose: its colour, distance and depth by name. Its content is unchanged.
-    pub(super) fn layer(&mut self, context: &Context, purpose: [&'static str; 3], width: u32, height: u32) -> Layer {
+    pub(super) fn layer(
+        &mut self,
+        context: &Context,
+        purpose: [&'static str; 3],
+        width: u32,
+        height: u32,
+    ) -> Layer {
         let color = self.target(context, purpose[0], width, height, TextureFormat::Rgba16Float);
         let distance = self.target(context, purpose[1], width, height, TextureFormat::R32Float);
         let depth = self.target(context, purpose[2], width, height, DEPTH);
-        Layer { color: color.texture, color_view: color.view, distance: distance.texture, distance_view: distance.view, depth_view: depth.view }
+        Layer {
+            color: color.texture,
+            color_view: color.view,
+            distance: distance.texture,
+            distance_view: distance.view,
+            depth_view: depth.view,
+        }
     }
 }

@@ -123,7 +123,11 @@ fn affine(m: &Affine3A) -> [f32; 16] {
 impl FrameUniform {
     /// The constants of a scene; `value_scale` and `value_offset` map texels to normalised values,
     /// and `gradient_scale` maps them to gradients; the texels span `texture_size` voxels.
-    pub fn new(scene: &Prepared, [value_scale, value_offset, gradient_scale]: [f32; 3], texture_size: [f32; 3]) -> Self {
+    pub fn new(
+        scene: &Prepared,
+        [value_scale, value_offset, gradient_scale]: [f32; 3],
+        texture_size: [f32; 3],
+    ) -> Self {
         let frame = &scene.frame;
         let light = &scene.light;
         let cells = &scene.volume().macrocells;
@@ -131,7 +135,11 @@ impl FrameUniform {
             clip_from_world: frame.view.clip_from_world().to_cols_array(),
             voxel_from_world: affine(&scene.volume().voxel_from_world),
             eye: frame.view.eye.into(),
-            perspective: if frame.view.projection == Projection::Perspective { 1.0 } else { 0.0 },
+            perspective: if frame.view.projection == Projection::Perspective {
+                1.0
+            } else {
+                0.0
+            },
             forward: frame.view.forward.into(),
             step_mm: frame.spacing.step_mm,
             right: frame.view.right.into(),
@@ -155,7 +163,11 @@ impl FrameUniform {
             picture: [frame.size[0] as f32, frame.size[1] as f32],
             table_scale: scene.volume().table.scale,
             table_offset: scene.volume().table.offset,
-            gradient_top: if scene.uses_gradient_opacity() { scene.volume().table.gradient_top } else { 0.0 },
+            gradient_top: if scene.uses_gradient_opacity() {
+                scene.volume().table.gradient_top
+            } else {
+                0.0
+            },
             two_sided: u32::from(light.two_sided),
             has_holes: u32::from(scene.volume().grid.has_holes),
             early_termination: u32::from(scene.settings.early_termination),
@@ -244,9 +256,17 @@ impl SurfaceObjectUniform {
             cells: grid.size.to_array(),
             thickness_mm: object.thickness_mm,
             // An empty box has infinite corners, which must not enter shader arithmetic.
-            occupied_min: if grid.occupied.is_empty() { [1.0; 3] } else { grid.occupied.min.into() },
+            occupied_min: if grid.occupied.is_empty() {
+                [1.0; 3]
+            } else {
+                grid.occupied.min.into()
+            },
             solid: u32::from(object.look.model != CutModel::Hollow),
-            occupied_max: if grid.occupied.is_empty() { [-1.0; 3] } else { grid.occupied.max.into() },
+            occupied_max: if grid.occupied.is_empty() {
+                [-1.0; 3]
+            } else {
+                grid.occupied.max.into()
+            },
             steps: match scene.surfaces.steps {
                 Steps::Uniform => 0,
                 Steps::Threshold => 1,
@@ -259,7 +279,11 @@ impl SurfaceObjectUniform {
             shininess: object.look.highlight[1],
             cut: object.look.cut,
             threshold_mm: scene.surfaces.threshold * object.cell_mm,
-            seam_mm: if let Stage::Both(seam) = object.stage { seam } else { 0.0 },
+            seam_mm: if let Stage::Both(seam) = object.stage {
+                seam
+            } else {
+                0.0
+            },
             rigid: u32::from(object.rigid),
             both: u32::from(matches!(object.stage, Stage::Both(_))),
             deformers: object.deformers.len() as u32,
@@ -273,7 +297,9 @@ impl SurfaceObjectUniform {
                 u.world_from_grid = affine(&g.world_from_grid);
                 u.size = g.size.map(|n| n as f32);
             }
-            Some(Implicit::Formula(f)) => (u.kind, u.solids) = (ImplicitKind::Formula as u32, f.0.len() as u32),
+            Some(Implicit::Formula(f)) => {
+                (u.kind, u.solids) = (ImplicitKind::Formula as u32, f.0.len() as u32)
+            }
             Some(Implicit::Depth(d)) => {
                 (u.kind, u.face) = (ImplicitKind::Depth as u32, d.faces[0]);
                 u.size = [d.size, d.size, d.faces.len()].map(|n| n as f32);
@@ -306,10 +332,19 @@ impl PlacedSolidUniform {
             Solid::Box(half) => (SolidKind::Box, half.extend(0.0).to_array(), 0.0, 0.0),
             Solid::Torus(ring, tube) => (SolidKind::Torus, [ring, tube, 0.0, 0.0], 0.0, 0.0),
             Solid::Cylinder(radius, half) => (SolidKind::Cylinder, [radius, half, 0.0, 0.0], 0.0, 0.0),
-            Solid::Gyroid(period, wall, half) => (SolidKind::Gyroid, half.extend(0.0).to_array(), period, wall),
+            Solid::Gyroid(period, wall, half) => {
+                (SolidKind::Gyroid, half.extend(0.0).to_array(), period, wall)
+            }
         };
         let (solid, join) = (solid as u32, s.join as u32);
-        Self { local_from_world: affine(&s.local_from_world), numbers, solid, join, period, wall }
+        Self {
+            local_from_world: affine(&s.local_from_world),
+            numbers,
+            solid,
+            join,
+            period,
+            wall,
+        }
     }
 }
 
@@ -328,7 +363,11 @@ pub struct DeformerUniform {
 impl DeformerUniform {
     /// One deformer.
     pub fn new(d: &Deformer) -> Self {
-        let mut u = Self { local_from_world: affine(&d.local_from_world), half: d.half.into(), ..Self::zeroed() };
+        let mut u = Self {
+            local_from_world: affine(&d.local_from_world),
+            half: d.half.into(),
+            ..Self::zeroed()
+        };
         let three = |a: f32, b: f32, c: f32| [a, b, c, 0.0];
         let (kind, numbers) = match &d.deform {
             DeformerKind::Twist(rate) => (MeshDeformerKind::Twist, three(*rate, 0.0, 0.0)),
@@ -336,9 +375,14 @@ impl DeformerUniform {
             DeformerKind::Taper(factor) => (MeshDeformerKind::Taper, three(*factor, 0.0, 0.0)),
             DeformerKind::Shear(share) => (MeshDeformerKind::Shear, three(*share, 0.0, 0.0)),
             DeformerKind::Bulge(amount, width) => (MeshDeformerKind::Bulge, three(*amount, *width, 0.0)),
-            DeformerKind::Wave(amplitude, frequency, phase) => (MeshDeformerKind::Wave, three(*amplitude, *frequency, *phase)),
+            DeformerKind::Wave(amplitude, frequency, phase) => {
+                (MeshDeformerKind::Wave, three(*amplitude, *frequency, *phase))
+            }
             DeformerKind::Lattice(offsets) => {
-                u.offsets.iter_mut().zip(offsets.iter()).for_each(|(u, o)| *u = o.extend(0.0).to_array());
+                u.offsets
+                    .iter_mut()
+                    .zip(offsets.iter())
+                    .for_each(|(u, o)| *u = o.extend(0.0).to_array());
                 (MeshDeformerKind::Lattice, [0.0; 4])
             }
         };
@@ -418,7 +462,10 @@ impl ClassificationUniform {
     pub fn new(cells: &CellGrid, contents: &VisibilityCriteria, value_levels: &[[u32; 4]]) -> Self {
         let (value_size, value_shift) = contents.value_pyramid.grid();
         let mut values = [[0; 4]; VALUE_LEVELS];
-        values.iter_mut().zip(value_levels).for_each(|(to, from)| *to = *from);
+        values
+            .iter_mut()
+            .zip(value_levels)
+            .for_each(|(to, from)| *to = *from);
         Self {
             voxel_from_world: affine(contents.voxel_from_world),
             origin: cells.bounds.min.into(),

@@ -43,7 +43,11 @@ impl VolumeTexture {
     /// Gradient of the normalised value per voxel, per texel unit of the gradient volume; 0 if
     /// there is none.
     pub fn gradient_scale(&self, scene: &Prepared) -> f32 {
-        if self.gradients.is_some() { 0.5 * f32::from(i16::MAX) * scene.volume().grid.scale } else { 0.0 }
+        if self.gradients.is_some() {
+            0.5 * f32::from(i16::MAX) * scene.volume().grid.scale
+        } else {
+            0.0
+        }
     }
 }
 
@@ -64,7 +68,10 @@ impl VoxelGridValues {
 fn factors(size: [usize; 3], bytes_per_voxel: u64, max_voxels: usize, max_bytes: u64) -> [usize; 3] {
     let mut factors = size.map(|n| n.div_ceil(max_voxels.max(1)));
     loop {
-        let bytes = (0..3).map(|a| size[a].div_ceil(factors[a]) as u64).product::<u64>() * bytes_per_voxel;
+        let bytes = (0..3)
+            .map(|a| size[a].div_ceil(factors[a]) as u64)
+            .product::<u64>()
+            * bytes_per_voxel;
         if bytes <= max_bytes {
             return factors;
         }
@@ -80,7 +87,10 @@ fn factors(size: [usize; 3], bytes_per_voxel: u64, max_voxels: usize, max_bytes:
 impl Context {
     fn volume_format(&self, grid: &VoxelGrid) -> TextureFormat {
         let features = self.device.device.features();
-        let (unorm16, float32) = (features.contains(Features::TEXTURE_FORMAT_16BIT_NORM), features.contains(Features::FLOAT32_FILTERABLE));
+        let (unorm16, float32) = (
+            features.contains(Features::TEXTURE_FORMAT_16BIT_NORM),
+            features.contains(Features::FLOAT32_FILTERABLE),
+        );
         // Software drivers filter 8-bit textures in 8-bit arithmetic with visible steps: they get
         // 16 bits.
         match &grid.voxels {
@@ -96,10 +106,16 @@ impl Context {
         let normalise = |v: f32| f16::from_f32(v * grid.scale + grid.offset).to_bits();
         self.in_pieces(texture, grid.size, |range| match (&grid.voxels, format) {
             (VoxelGridValues::U8(v), TextureFormat::R8Unorm) => flat(v)[range].to_vec(),
-            (VoxelGridValues::U8(v), TextureFormat::R16Unorm) => to_bytes(&flat(v)[range], |v| u16::from(v) * 257),
+            (VoxelGridValues::U8(v), TextureFormat::R16Unorm) => {
+                to_bytes(&flat(v)[range], |v| u16::from(v) * 257)
+            }
             (VoxelGridValues::U16(v), TextureFormat::R16Unorm) => to_bytes(&flat(v)[range], |v| v),
-            (VoxelGridValues::I16(v), TextureFormat::R16Unorm) => to_bytes(&flat(v)[range], |v| (i32::from(v) + 32768) as u16),
-            (VoxelGridValues::F32(v), TextureFormat::R32Float) => bytemuck::cast_slice(&flat(v)[range]).to_vec(),
+            (VoxelGridValues::I16(v), TextureFormat::R16Unorm) => {
+                to_bytes(&flat(v)[range], |v| (i32::from(v) + 32768) as u16)
+            }
+            (VoxelGridValues::F32(v), TextureFormat::R32Float) => {
+                bytemuck::cast_slice(&flat(v)[range]).to_vec()
+            }
             (VoxelGridValues::U8(v), _) => to_bytes(&flat(v)[range], |v| normalise(f32::from(v))),
             (VoxelGridValues::U16(v), _) => to_bytes(&flat(v)[range], |v| normalise(f32::from(v))),
             (VoxelGridValues::I16(v), _) => to_bytes(&flat(v)[range], |v| normalise(f32::from(v))),
@@ -108,20 +124,47 @@ impl Context {
     }
 
     /// Uploads the voxels' own colours, multiplied by their weights for correct hardware filtering.
-    fn upload_colors(&self, colors: &Colors, size: [usize; 3], factors: [usize; 3]) -> Result<wgpu::TextureView> {
-        let software = self.device.is_software() && self.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM);
-        let format = if software { TextureFormat::Rgba16Unorm } else { TextureFormat::Rgba8Unorm };
+    fn upload_colors(
+        &self,
+        colors: &Colors,
+        size: [usize; 3],
+        factors: [usize; 3],
+    ) -> Result<wgpu::TextureView> {
+        let software = self.device.is_software()
+            && self
+                .device
+                .device
+                .features()
+                .contains(Features::TEXTURE_FORMAT_16BIT_NORM);
+        let format = if software {
+            TextureFormat::Rgba16Unorm
+        } else {
+            TextureFormat::Rgba8Unorm
+        };
         let shown: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
         let texture = self.texture_3d("colours", shown, format)?;
         self.in_pieces(&texture, shown, |range| {
-            let texels = if factors == [1; 3] { colors.rgba8(range) } else { colors.reduced(size, factors, range) };
-            if software { to_bytes(texels.as_flattened(), |v| u16::from(v) * 257) } else { texels.into_flattened() }
+            let texels = if factors == [1; 3] {
+                colors.rgba8(range)
+            } else {
+                colors.reduced(size, factors, range)
+            };
+            if software {
+                to_bytes(texels.as_flattened(), |v| u16::from(v) * 257)
+            } else {
+                texels.into_flattened()
+            }
         })?;
         Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
     }
 
     /// Writes whole layers at once: `bytes` of a range of voxels.
-    fn in_pieces(&self, texture: &wgpu::Texture, size: [usize; 3], bytes: impl Fn(std::ops::Range<usize>) -> Vec<u8>) -> Result<()> {
+    fn in_pieces(
+        &self,
+        texture: &wgpu::Texture,
+        size: [usize; 3],
+        bytes: impl Fn(std::ops::Range<usize>) -> Vec<u8>,
+    ) -> Result<()> {
         let layer = size[0] * size[1];
         let layers_at_once = (PIECE / (layer * 4).max(1)).max(1);
         for (n, first) in (0..size[2]).step_by(layers_at_once).enumerate() {
@@ -154,7 +197,12 @@ impl VolumeCache {
     }
 
     /// Uploads the volume to the GPU unless it is already there.
-    pub(super) fn upload(&mut self, context: &Context, grid: &VoxelGrid, colors: Option<&Colors>) -> Result<()> {
+    pub(super) fn upload(
+        &mut self,
+        context: &Context,
+        grid: &VoxelGrid,
+        colors: Option<&Colors>,
+    ) -> Result<()> {
         let identity = (grid.voxels.identity(), colors.is_some());
         if self.texture.as_ref().is_some_and(|v| v.identity == identity) {
             return Ok(());
@@ -167,7 +215,8 @@ impl VolumeCache {
         let max_voxels = max_voxels.min(limits.max_texture_dimension_3d as usize);
         let max_bytes = max_bytes.min(limits.max_buffer_size);
         let format = context.volume_format(grid);
-        let texel = u64::from(format.block_copy_size(None).unwrap_or(4)).max(if colors.is_some() { 4 } else { 1 });
+        let texel =
+            u64::from(format.block_copy_size(None).unwrap_or(4)).max(if colors.is_some() { 4 } else { 1 });
         let factors = factors(grid.size, texel, max_voxels, max_bytes);
         let reduced = (factors != [1; 3]).then(|| grid.reduced(factors));
         let shown = reduced.as_ref().unwrap_or(grid);
@@ -194,8 +243,17 @@ impl VolumeCache {
         };
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         let texture_span_voxels = std::array::from_fn(|a| (shown.size[a] * factors[a]) as f32);
-        self.texture =
-            Some(VolumeTexture { identity, _voxels: grid.voxels.clone(), view, colors, gradients: None, scale, offset, texture_span_voxels, notice });
+        self.texture = Some(VolumeTexture {
+            identity,
+            _voxels: grid.voxels.clone(),
+            view,
+            colors,
+            gradients: None,
+            scale,
+            offset,
+            texture_span_voxels,
+            notice,
+        });
         Ok(())
     }
 
@@ -203,10 +261,17 @@ impl VolumeCache {
     pub fn bytes(&self) -> [u64; 2] {
         let bytes = |view: &wgpu::TextureView| {
             let texture = view.texture();
-            let texels = u64::from(texture.width()) * u64::from(texture.height()) * u64::from(texture.depth_or_array_layers());
+            let texels = u64::from(texture.width())
+                * u64::from(texture.height())
+                * u64::from(texture.depth_or_array_layers());
             texels * u64::from(texture.format().block_copy_size(None).unwrap_or(0))
         };
-        self.texture.as_ref().map_or([0; 2], |v| [bytes(&v.view) + v.colors.as_ref().map_or(0, bytes), v.gradients.as_ref().map_or(0, bytes)])
+        self.texture.as_ref().map_or([0; 2], |v| {
+            [
+                bytes(&v.view) + v.colors.as_ref().map_or(0, bytes),
+                v.gradients.as_ref().map_or(0, bytes),
+            ]
+        })
     }
 
     /// Uploads the scene's gradient volume, if there is one, the volume is not reduced, and the
@@ -217,15 +282,27 @@ impl VolumeCache {
         let limits = context.device.device.limits();
         let bytes = size.iter().map(|&n| n as u64).product::<u64>() * 8;
         if !self.texture.as_ref().is_some_and(fits)
-            || !context.device.device.features().contains(Features::TEXTURE_FORMAT_16BIT_NORM)
-            || bytes > self.limits.map_or(u64::MAX, |(_, bytes)| bytes).min(limits.max_buffer_size)
+            || !context
+                .device
+                .device
+                .features()
+                .contains(Features::TEXTURE_FORMAT_16BIT_NORM)
+            || bytes
+                > self
+                    .limits
+                    .map_or(u64::MAX, |(_, bytes)| bytes)
+                    .min(limits.max_buffer_size)
             || (bytes > MAX_GRADIENT_BYTES && !context.device.is_software())
         {
             return Ok(());
         }
-        let Some(gradients) = scene.gradients_for_picture() else { return Ok(()) };
+        let Some(gradients) = scene.gradients_for_picture() else {
+            return Ok(());
+        };
         let texture = context.texture_3d("gradient volume", size, TextureFormat::Rgba16Snorm)?;
-        context.in_pieces(&texture, size, |range| bytemuck::cast_slice(&gradients.texels[range]).to_vec())?;
+        context.in_pieces(&texture, size, |range| {
+            bytemuck::cast_slice(&gradients.texels[range]).to_vec()
+        })?;
         context.tally.count(ResourceKind::Volume);
         context.forget_groups();
         if let Some(volume) = &mut self.texture {

@@ -10,8 +10,8 @@ use std::str::FromStr;
 
 /// A direction of view: azimuth and elevation of the camera as seen from the scene, degrees.
 ///
-/// Azimuth 0 is in front of the patient (anterior), 90 at the patient's left; elevation 90 is above the head. Written as one of the
-/// six names or as `AZ,EL`.
+/// Azimuth 0 is in front of the patient (anterior), 90 at the patient's left; elevation 90 is above
+/// the head. Written as one of the six names or as `AZ,EL`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "String", into = "String")]
 #[schemars(with = "String")]
@@ -37,12 +37,27 @@ impl FromStr for View {
 
     fn from_str(text: &str) -> Result<Self, String> {
         if let Some(&(_, azimuth_deg, elevation_deg)) = NAMED.iter().find(|n| n.0 == text) {
-            return Ok(Self { azimuth_deg, elevation_deg });
+            return Ok(Self {
+                azimuth_deg,
+                elevation_deg,
+            });
         }
-        let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).filter(|v: &f32| v.is_finite()).collect();
+        let parts: Vec<f32> = text
+            .split(',')
+            .map_while(|p| p.trim().parse().ok())
+            .filter(|v: &f32| v.is_finite())
+            .collect();
         match parts[..] {
-            [azimuth_deg, elevation_deg] if text.split(',').count() == 2 && elevation_deg.abs() <= 90.0 => Ok(Self { azimuth_deg, elevation_deg }),
-            _ => Err(format!("\"{text}\" is not a view; use {} or AZ,EL in degrees (elevation within -90..90)", NAMED.map(|n| n.0).join(", "))),
+            [azimuth_deg, elevation_deg] if text.split(',').count() == 2 && elevation_deg.abs() <= 90.0 => {
+                Ok(Self {
+                    azimuth_deg,
+                    elevation_deg,
+                })
+            }
+            _ => Err(format!(
+                "\"{text}\" is not a view; use {} or AZ,EL in degrees (elevation within -90..90)",
+                NAMED.map(|n| n.0).join(", ")
+            )),
         }
     }
 }
@@ -56,7 +71,10 @@ impl TryFrom<String> for View {
 
 impl From<View> for String {
     fn from(view: View) -> Self {
-        match NAMED.iter().find(|n| (n.1, n.2) == (view.azimuth_deg, view.elevation_deg)) {
+        match NAMED
+            .iter()
+            .find(|n| (n.1, n.2) == (view.azimuth_deg, view.elevation_deg))
+        {
             Some(n) => n.0.into(),
             None => format!("{},{}", view.azimuth_deg, view.elevation_deg),
         }
@@ -96,7 +114,10 @@ pub struct Camera {
 impl Default for Camera {
     fn default() -> Self {
         Self {
-            view: View { azimuth_deg: 0.0, elevation_deg: 0.0 },
+            view: View {
+                azimuth_deg: 0.0,
+                elevation_deg: 0.0,
+            },
             zoom: 1.0,
             projection: Projection::Perspective,
             field_of_view: 30.0,
@@ -142,10 +163,16 @@ impl Camera {
     /// A zoom, field of view or target that is out of range.
     pub fn frame(&self, bounds: &Bounds, size: [u32; 2]) -> Result<ViewFrame> {
         if !(self.zoom.is_finite() && (1e-3..=1e3).contains(&self.zoom)) {
-            return Err(Error::value("camera.zoom", format!("{} is outside 0.001 to 1000", self.zoom)));
+            return Err(Error::value(
+                "camera.zoom",
+                format!("{} is outside 0.001 to 1000", self.zoom),
+            ));
         }
         if !(1.0..=120.0).contains(&self.field_of_view) {
-            return Err(Error::value("camera.field_of_view", format!("{} is outside 1 to 120 degrees", self.field_of_view)));
+            return Err(Error::value(
+                "camera.field_of_view",
+                format!("{} is outside 1 to 120 degrees", self.field_of_view),
+            ));
         }
         if !(self.roll.is_finite() && self.target.is_none_or(|t| t.iter().all(|v| v.is_finite()))) {
             return Err(Error::value("camera", "roll and target must be finite"));
@@ -163,12 +190,20 @@ impl Camera {
         const MARGIN: f32 = 1.04;
         let corners = bounds.corners().map(|c| {
             let d = c - bounds.center();
-            (d.dot(right).abs() * MARGIN, d.dot(up).abs() * MARGIN, d.dot(forward))
+            (
+                d.dot(right).abs() * MARGIN,
+                d.dot(up).abs() * MARGIN,
+                d.dot(forward),
+            )
         });
         let radius = bounds.size().length() / 2.0;
         Ok(match self.projection {
             Projection::Orthographic => {
-                let half_height = corners.iter().map(|&(x, y, _)| y.max(x / aspect)).fold(0.0, f32::max) / self.zoom;
+                let half_height = corners
+                    .iter()
+                    .map(|&(x, y, _)| y.max(x / aspect))
+                    .fold(0.0, f32::max)
+                    / self.zoom;
                 let away = 2.0 * radius + (target - bounds.center()).length();
                 ViewFrame {
                     eye: target - forward * away,
@@ -180,11 +215,20 @@ impl Camera {
             }
             Projection::Perspective => {
                 let tan = (self.field_of_view.to_radians() / 2.0).tan();
-                let away = corners.iter().map(|&(x, y, z)| (y / tan).max(x / (tan * aspect)) - z).fold(0.0, f32::max);
+                let away = corners
+                    .iter()
+                    .map(|&(x, y, z)| (y / tan).max(x / (tan * aspect)) - z)
+                    .fold(0.0, f32::max);
                 // Zoom narrows the field of view: the perspective is unchanged, the picture is
                 // magnified.
                 let tan = tan / self.zoom;
-                ViewFrame { eye: target - forward * away, forward, right: right * tan * aspect, up: up * tan, projection: self.projection }
+                ViewFrame {
+                    eye: target - forward * away,
+                    forward,
+                    right: right * tan * aspect,
+                    up: up * tan,
+                    projection: self.projection,
+                }
             }
         })
     }
@@ -195,7 +239,11 @@ impl ViewFrame {
     /// of the volume out of its box. (A perspective eye does not move: it does not see what lies
     /// behind it.)
     pub fn step_back_from(&mut self, bounds: &Bounds, margin_mm: f32) {
-        let nearest = bounds.corners().iter().map(|&c| (c - self.eye).dot(self.forward)).fold(f32::INFINITY, f32::min);
+        let nearest = bounds
+            .corners()
+            .iter()
+            .map(|&c| (c - self.eye).dot(self.forward))
+            .fold(f32::INFINITY, f32::min);
         if self.projection == Projection::Orthographic && nearest < margin_mm {
             self.eye -= self.forward * (margin_mm - nearest);
         }
@@ -236,17 +284,28 @@ impl ViewFrame {
         for corner in b.corners() {
             let d = corner - self.eye;
             let depth = match self.projection {
-                Projection::Perspective if d.dot(self.forward) <= 1e-3 * d.length() => return [[0, size.x as usize], [0, size.y as usize]],
+                Projection::Perspective if d.dot(self.forward) <= 1e-3 * d.length() => {
+                    return [[0, size.x as usize], [0, size.y as usize]];
+                }
                 Projection::Perspective => d.dot(self.forward),
                 Projection::Orthographic => 1.0,
             };
-            let at = Vec2::new(d.dot(self.right) / self.right.length_squared(), -d.dot(self.up) / self.up.length_squared()) / depth;
+            let at = Vec2::new(
+                d.dot(self.right) / self.right.length_squared(),
+                -d.dot(self.up) / self.up.length_squared(),
+            ) / depth;
             let pixel = (at + 1.0) * 0.5 * size;
             (low, high) = (low.min(pixel), high.max(pixel));
         }
         // Two more pixels on each side absorb rounding.
-        let (low, high) = ((low - 2.0).floor().clamp(Vec2::ZERO, size), (high + 2.0).ceil().clamp(Vec2::ZERO, size));
-        [[low.x as usize, high.x as usize], [low.y as usize, high.y as usize]]
+        let (low, high) = (
+            (low - 2.0).floor().clamp(Vec2::ZERO, size),
+            (high + 2.0).ceil().clamp(Vec2::ZERO, size),
+        );
+        [
+            [low.x as usize, high.x as usize],
+            [low.y as usize, high.y as usize],
+        ]
     }
 
     /// The highest of 1 / cos of the angle between a pixel's ray and the view direction.
@@ -264,8 +323,18 @@ impl ViewFrame {
         let (r, u) = (basis(self.right), basis(self.up));
         let view = Affine3A::from_translation(-self.eye);
         let rows = match self.projection {
-            Projection::Perspective => [r.extend(0.0), u.extend(0.0), (self.forward * 0.5).extend(0.0), self.forward.extend(0.0)],
-            Projection::Orthographic => [r.extend(0.0), u.extend(0.0), Vec3::ZERO.extend(0.5), Vec3::ZERO.extend(1.0)],
+            Projection::Perspective => [
+                r.extend(0.0),
+                u.extend(0.0),
+                (self.forward * 0.5).extend(0.0),
+                self.forward.extend(0.0),
+            ],
+            Projection::Orthographic => [
+                r.extend(0.0),
+                u.extend(0.0),
+                Vec3::ZERO.extend(0.5),
+                Vec3::ZERO.extend(1.0),
+            ],
         };
         Mat4::from_cols(rows[0], rows[1], rows[2], rows[3]).transpose() * Mat4::from(view)
     }
@@ -277,8 +346,14 @@ mod tests {
 
     fn frame(view: &str, projection: Projection) -> ViewFrame {
         let view = view.parse().unwrap_or_else(|e| panic!("{e}"));
-        let camera = Camera { view, projection, ..Camera::default() };
-        camera.frame(&Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)), [200, 100]).unwrap_or_else(|e| panic!("{e}"))
+        let camera = Camera {
+            view,
+            projection,
+            ..Camera::default()
+        };
+        camera
+            .frame(&Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)), [200, 100])
+            .unwrap_or_else(|e| panic!("{e}"))
     }
 
     /// No ray outside the returned pixels meets the box, and the range is not much too large; a box
@@ -286,7 +361,11 @@ mod tests {
     #[test]
     fn pixels_of_a_box_are_all_that_meet_it() {
         let size = [200u32, 100];
-        for (view, projection) in [("anterior", Projection::Perspective), ("37,-20", Projection::Perspective), ("37,-20", Projection::Orthographic)] {
+        for (view, projection) in [
+            ("anterior", Projection::Perspective),
+            ("37,-20", Projection::Perspective),
+            ("37,-20", Projection::Orthographic),
+        ] {
             let f = frame(view, projection);
             for n in 0..60 {
                 let at = Vec3::new((n % 4) as f32, (n / 4 % 4) as f32, (n / 16) as f32) * 24.0 - 45.0;
@@ -294,18 +373,30 @@ mod tests {
                 let [x, y] = f.pixels_of(&b, size);
                 let (mut met, mut low, mut high) = (0, [usize::MAX; 2], [0; 2]);
                 for (j, i) in (0..100usize).flat_map(|j| (0..200usize).map(move |i| (j, i))) {
-                    let (origin, direction) = f.ray((i as f32 + 0.5) / 100.0 - 1.0, 1.0 - (j as f32 + 0.5) / 50.0);
-                    if b.intersect_ray(origin, direction).is_some_and(|(_, far)| far >= 0.0) {
-                        assert!(i >= x[0] && i < x[1] && j >= y[0] && j < y[1], "{i},{j} of {b:?}: {x:?} {y:?}");
+                    let (origin, direction) =
+                        f.ray((i as f32 + 0.5) / 100.0 - 1.0, 1.0 - (j as f32 + 0.5) / 50.0);
+                    if b.intersect_ray(origin, direction)
+                        .is_some_and(|(_, far)| far >= 0.0)
+                    {
+                        assert!(
+                            i >= x[0] && i < x[1] && j >= y[0] && j < y[1],
+                            "{i},{j} of {b:?}: {x:?} {y:?}"
+                        );
                         (low, high) = ([low[0].min(i), low[1].min(j)], [high[0].max(i), high[1].max(j)]);
                         met += 1;
                     }
                 }
-                assert!(met == 0 || (x[1] - x[0] <= high[0] - low[0] + 8 && y[1] - y[0] <= high[1] - low[1] + 8), "{b:?}: {x:?} {y:?}");
+                assert!(
+                    met == 0 || (x[1] - x[0] <= high[0] - low[0] + 8 && y[1] - y[0] <= high[1] - low[1] + 8),
+                    "{b:?}: {x:?} {y:?}"
+                );
             }
         }
         let f = frame("anterior", Projection::Perspective);
-        assert_eq!(f.pixels_of(&Bounds::new(f.eye - 1.0, f.eye + 1.0), size), [[0, 200], [0, 100]]);
+        assert_eq!(
+            f.pixels_of(&Bounds::new(f.eye - 1.0, f.eye + 1.0), size),
+            [[0, 200], [0, 100]]
+        );
         assert_eq!(f.pixels_of(&Bounds::EMPTY, size), [[0, 0], [0, 0]]);
     }
 
@@ -318,25 +409,48 @@ mod tests {
             type Output = [(Vec3, Vec3, f32, f32); LANES];
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
-                let (origin, direction) = self.0.rays(simd, f32x8::load_array(simd, self.2), f32x8::load_array(simd, self.3));
+                let (origin, direction) = self.0.rays(
+                    simd,
+                    f32x8::load_array(simd, self.2),
+                    f32x8::load_array(simd, self.3),
+                );
                 let one = f32x8::splat(simd, 1.0);
-                let inverse = Vec3x8 { x: one / direction.x, y: one / direction.y, z: one / direction.z };
+                let inverse = Vec3x8 {
+                    x: one / direction.x,
+                    y: one / direction.y,
+                    z: one / direction.z,
+                };
                 let (near, far) = self.1.intersect_rays(simd, origin, inverse);
                 std::array::from_fn(|n| (origin.lane(n), direction.lane(n), near[n], far[n]))
             }
         }
-        let boxes = [Bounds::new(Vec3::new(-20.0, -7.0, 1.0), Vec3::new(30.0, 9.0, 40.0)), Bounds::EMPTY, Bounds::new(Vec3::ZERO, Vec3::ZERO)];
+        let boxes = [
+            Bounds::new(Vec3::new(-20.0, -7.0, 1.0), Vec3::new(30.0, 9.0, 40.0)),
+            Bounds::EMPTY,
+            Bounds::new(Vec3::ZERO, Vec3::ZERO),
+        ];
         let (mut met, mut missed) = (0, 0);
-        for (view, projection) in [("anterior", Projection::Perspective), ("37,-20", Projection::Perspective), ("superior", Projection::Orthographic)]
-        {
+        for (view, projection) in [
+            ("anterior", Projection::Perspective),
+            ("37,-20", Projection::Perspective),
+            ("superior", Projection::Orthographic),
+        ] {
             let f = frame(view, projection);
             for (n, b) in (0..400).flat_map(|n| boxes.iter().map(move |b| (n, b))) {
-                let u: [f32; LANES] = std::array::from_fn(|lane| (n % 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.01);
-                let v: [f32; LANES] = std::array::from_fn(|lane| (n / 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.013);
-                for (lane, (origin, direction, near, far)) in with_simd(RaysKernel(&f, b, u, v)).into_iter().enumerate() {
+                let u: [f32; LANES] =
+                    std::array::from_fn(|lane| (n % 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.01);
+                let v: [f32; LANES] =
+                    std::array::from_fn(|lane| (n / 20) as f32 * 0.1 - 1.0 + lane as f32 * 0.013);
+                for (lane, (origin, direction, near, far)) in
+                    with_simd(RaysKernel(&f, b, u, v)).into_iter().enumerate()
+                {
                     assert_eq!((origin, direction), f.ray(u[lane], v[lane]));
                     let single = b.intersect_ray(origin, direction);
-                    assert_eq!((near <= far).then_some((near, far)), single, "{origin} {direction} {b:?}");
+                    assert_eq!(
+                        (near <= far).then_some((near, far)),
+                        single,
+                        "{origin} {direction} {b:?}"
+                    );
                     if single.is_some() { met += 1 } else { missed += 1 }
                 }
             }
@@ -348,8 +462,10 @@ mod tests {
     /// them.
     #[test]
     fn named_views_have_the_right_sides() {
-        let (right, up) =
-            (|v: &str| frame(v, Projection::Orthographic).right.normalize(), |v: &str| frame(v, Projection::Orthographic).up.normalize());
+        let (right, up) = (
+            |v: &str| frame(v, Projection::Orthographic).right.normalize(),
+            |v: &str| frame(v, Projection::Orthographic).up.normalize(),
+        );
         for (view, r, u) in [
             ("anterior", Vec3::X, Vec3::Z),
             ("posterior", Vec3::NEG_X, Vec3::Z),
@@ -359,7 +475,12 @@ mod tests {
             ("inferior", Vec3::X, Vec3::NEG_Y),
             ("0,0", Vec3::X, Vec3::Z),
         ] {
-            assert!(right(view).abs_diff_eq(r, 1e-6) && up(view).abs_diff_eq(u, 1e-6), "{view}: {} {}", right(view), up(view));
+            assert!(
+                right(view).abs_diff_eq(r, 1e-6) && up(view).abs_diff_eq(u, 1e-6),
+                "{view}: {} {}",
+                right(view),
+                up(view)
+            );
         }
     }
 
@@ -370,7 +491,10 @@ mod tests {
             let (o, d) = f.ray(0.3, -0.6);
             let clip = f.clip_from_world() * (o + d * 123.0).extend(1.0);
             let ndc = clip / clip.w;
-            assert!((ndc.x - 0.3).abs() < 1e-5 && (ndc.y + 0.6).abs() < 1e-5 && (ndc.z - 0.5).abs() < 1e-5, "{ndc}");
+            assert!(
+                (ndc.x - 0.3).abs() < 1e-5 && (ndc.y + 0.6).abs() < 1e-5 && (ndc.z - 0.5).abs() < 1e-5,
+                "{ndc}"
+            );
         }
     }
 
@@ -378,10 +502,12 @@ mod tests {
     fn the_box_fits() {
         for projection in [Projection::Perspective, Projection::Orthographic] {
             let f = frame("30,20", projection);
-            let most = Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0)).corners().map(|c| {
-                let clip = f.clip_from_world() * c.extend(1.0);
-                (clip.y / clip.w).abs().max((clip.x / clip.w).abs())
-            });
+            let most = Bounds::new(Vec3::splat(-50.0), Vec3::splat(50.0))
+                .corners()
+                .map(|c| {
+                    let clip = f.clip_from_world() * c.extend(1.0);
+                    (clip.y / clip.w).abs().max((clip.x / clip.w).abs())
+                });
             let most = most.into_iter().fold(0.0, f32::max);
             assert!((0.9..1.0).contains(&most), "{most}");
         }

@@ -20,7 +20,13 @@ pub fn render_command(scene: &Scene, file: &Path, output: &str) -> String {
         Projection::Perspective => "perspective",
         Projection::Orthographic => "orthographic",
     };
-    let mut words = vec!["incise".to_owned(), "render".into(), quoted(&file.to_string_lossy()), "-o".into(), quoted(output)];
+    let mut words = vec![
+        "incise".to_owned(),
+        "render".into(),
+        quoted(&file.to_string_lossy()),
+        "-o".into(),
+        quoted(output),
+    ];
     let mut option = |name: &str, value: String| words.extend([name.to_owned(), value]);
     option("--mode", mode.into());
     option("--size", format!("{width}x{height}"));
@@ -36,8 +42,15 @@ pub fn render_command(scene: &Scene, file: &Path, output: &str) -> String {
 
 /// A word quoted for a shell.
 fn quoted(word: &str) -> String {
-    let plain = !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-:,=+".contains(c));
-    if plain { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) }
+    let plain = !word.is_empty()
+        && word
+            .chars()
+            .all(|c| c.is_alphanumeric() || "/._-:,=+".contains(c));
+    if plain {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
 }
 
 #[cfg(test)]

@@ -34,7 +34,10 @@ fn place(kind: &str) -> Option<ExamplePlacement> {
 pub fn of_kind(kind: &Kind, volume: &str, edge: u32, bounds: &Bounds) -> Scene {
     let mut scene = Scene::of_volume(volume);
     scene.render.size = [edge, edge];
-    scene.camera.view = View { azimuth_deg: 35.0, elevation_deg: 30.0 };
+    scene.camera.view = View {
+        azimuth_deg: 35.0,
+        elevation_deg: 30.0,
+    };
     let mut deformation = Deformation::new(kind.name);
     let (mut center, mut size) = (bounds.center(), kind.default_size(bounds));
     if let Some((at, extent, rotate)) = place(kind.name) {

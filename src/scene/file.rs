@@ -25,13 +25,25 @@ impl Scene {
             return Err("is empty; a scene needs at least `incise = 1` and a [volume] with a path".into());
         }
         let wrong = |e: &toml::de::Error| match e.span() {
-            Some(span) => format!("line {}: {}", 1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count(), e.message()),
+            Some(span) => format!(
+                "line {}: {}",
+                1 + text.bytes().take(span.start).filter(|b| *b == b'\n').count(),
+                e.message()
+            ),
             None => e.message().to_owned(),
         };
-        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| format!("is not valid TOML ({})", wrong(&e)))?;
+        let table: toml::Table = text
+            .parse()
+            .map_err(|e: toml::de::Error| format!("is not valid TOML ({})", wrong(&e)))?;
         // Another version has other keys, so the version is checked first.
-        if let Some(version) = table.get("incise").and_then(toml::Value::as_integer).filter(|v| *v != i64::from(FORMAT_VERSION)) {
-            return Err(format!("has format version {version}; this program reads version {FORMAT_VERSION}"));
+        if let Some(version) = table
+            .get("incise")
+            .and_then(toml::Value::as_integer)
+            .filter(|v| *v != i64::from(FORMAT_VERSION))
+        {
+            return Err(format!(
+                "has format version {version}; this program reads version {FORMAT_VERSION}"
+            ));
         }
         keys::check(&schema(), &table)?;
         let scene: Self = toml::from_str(text).map_err(|e| format!("cannot be used ({})", wrong(&e)))?;
@@ -61,7 +73,9 @@ mod tests {
     use crate::scene::{Deformation, Size};
 
     fn error(text: &str) -> String {
-        Scene::from_toml(text).err().unwrap_or_else(|| panic!("accepted: {text}"))
+        Scene::from_toml(text)
+            .err()
+            .unwrap_or_else(|| panic!("accepted: {text}"))
     }
 
     #[test]
@@ -73,7 +87,10 @@ mod tests {
         scene.deformation = vec![peel, Deformation::new("pull")];
         scene.transfer.preset = Some("tomato".into());
         let text = scene.to_toml().unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!(Scene::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}")), scene);
+        assert_eq!(
+            Scene::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}")),
+            scene
+        );
     }
 
     #[test]
@@ -81,14 +98,29 @@ mod tests {
         let head = "incise = 1\n[volume]\npath = \"phantom:ball\"\n";
         for (extra, key, close) in [
             ("[camera]\nzom = 2.0\n", "camera.zom", "zoom"),
-            ("[[deformation]]\nkind = \"peel\"\ndeph = 3.0\n", "deformation.deph", "depth"),
+            (
+                "[[deformation]]\nkind = \"peel\"\ndeph = 3.0\n",
+                "deformation.deph",
+                "depth",
+            ),
             ("[lihgt]\n", "lihgt", "light"),
             ("[volume.inside]\npth = \"x\"\n", "volume.inside.pth", "path"),
-            ("[[mesh]]\npath = \"x\"\n[[mesh.deformer]]\nkind = \"twist\"\ncentre = [0, 0, 0]\n", "mesh.deformer.centre", "center"),
-            ("[[transfer.points]]\nvalue = 1.0\ncolour = [0,0,0]\nopacity = 1.0", "transfer.points.colour", "color"),
+            (
+                "[[mesh]]\npath = \"x\"\n[[mesh.deformer]]\nkind = \"twist\"\ncentre = [0, 0, 0]\n",
+                "mesh.deformer.centre",
+                "center",
+            ),
+            (
+                "[[transfer.points]]\nvalue = 1.0\ncolour = [0,0,0]\nopacity = 1.0",
+                "transfer.points.colour",
+                "color",
+            ),
         ] {
             let message = error(&format!("{head}{extra}"));
-            assert!(message.contains(&format!("\"{key}\"")) && message.contains(close), "{message}");
+            assert!(
+                message.contains(&format!("\"{key}\"")) && message.contains(close),
+                "{message}"
+            );
         }
     }
 
@@ -96,25 +128,70 @@ mod tests {
     fn values_of_a_wrong_type_are_named() {
         let head = "incise = 1\n[volume]\npath = \"phantom:ball\"\n";
         for (extra, words) in [
-            ("[[mesh]]\niso = \"high\"", "has the string \"high\" for \"mesh.iso\", which must be a number"),
-            ("[[mesh]]\n[[mesh]]\nlabel = 3", "has 3 for \"mesh 2.label\", which must be a list of numbers"),
-            ("[[mesh]]\nlabel = [1.5]", "has 1.5 for \"mesh.label\", which must be a whole number"),
-            ("[surface]\nthreshold = true", "has true for \"surface.threshold\", which must be a number"),
-            ("[surface]\nsteps = \"long\"", "must be one of \"uniform\", \"threshold\""),
-            ("[volume.inside]\npath = \"x\"\nsize = [1, 2]", "has a list of length 2 for \"volume.inside.size\", which must be a number"),
-            ("[render]\nsize = [512]", "has a list of length 1 for \"render.size\", which must be a list of 2 numbers"),
-            ("[render]\nsize = [512, -1]", "has -1 for \"render.size\", which must be a whole number, 0 or more"),
-            ("[render]\nantialias = 2.0", "for \"render.antialias\", which must be a whole number"),
-            ("[camera]\nview = 3", "has 3 for \"camera.view\", which must be a string in quotes"),
-            ("[[deformation]]\nkind = \"peel\"\nsize = \"big\"", "for \"deformation.size\", which must be a number or a list of 3 numbers"),
-            ("[[deformation]]\nkind = \"peel\"\ndepth = [1, \"a\"]", "for \"deformation.depth\", which must be a number, a string"),
-            ("[[deformation]]\ncenter = [1, 2, 3]", "lacks the key \"kind\" in \"deformation\""),
-            ("[[mesh]]\npath = \"x\"\n[[mesh.deformer]]\nkind = \"twist\"\nangle = \"far\"", "for \"mesh.deformer.angle\", which must be a number"),
+            (
+                "[[mesh]]\niso = \"high\"",
+                "has the string \"high\" for \"mesh.iso\", which must be a number",
+            ),
+            (
+                "[[mesh]]\n[[mesh]]\nlabel = 3",
+                "has 3 for \"mesh 2.label\", which must be a list of numbers",
+            ),
+            (
+                "[[mesh]]\nlabel = [1.5]",
+                "has 1.5 for \"mesh.label\", which must be a whole number",
+            ),
+            (
+                "[surface]\nthreshold = true",
+                "has true for \"surface.threshold\", which must be a number",
+            ),
+            (
+                "[surface]\nsteps = \"long\"",
+                "must be one of \"uniform\", \"threshold\"",
+            ),
+            (
+                "[volume.inside]\npath = \"x\"\nsize = [1, 2]",
+                "has a list of length 2 for \"volume.inside.size\", which must be a number",
+            ),
+            (
+                "[render]\nsize = [512]",
+                "has a list of length 1 for \"render.size\", which must be a list of 2 numbers",
+            ),
+            (
+                "[render]\nsize = [512, -1]",
+                "has -1 for \"render.size\", which must be a whole number, 0 or more",
+            ),
+            (
+                "[render]\nantialias = 2.0",
+                "for \"render.antialias\", which must be a whole number",
+            ),
+            (
+                "[camera]\nview = 3",
+                "has 3 for \"camera.view\", which must be a string in quotes",
+            ),
+            (
+                "[[deformation]]\nkind = \"peel\"\nsize = \"big\"",
+                "for \"deformation.size\", which must be a number or a list of 3 numbers",
+            ),
+            (
+                "[[deformation]]\nkind = \"peel\"\ndepth = [1, \"a\"]",
+                "for \"deformation.depth\", which must be a number, a string",
+            ),
+            (
+                "[[deformation]]\ncenter = [1, 2, 3]",
+                "lacks the key \"kind\" in \"deformation\"",
+            ),
+            (
+                "[[mesh]]\npath = \"x\"\n[[mesh.deformer]]\nkind = \"twist\"\nangle = \"far\"",
+                "for \"mesh.deformer.angle\", which must be a number",
+            ),
             ("[camera]\nview = \"above\"", "line 5: \"above\" is not a view"),
             ("[camera]\nzoom = 1\nzoom = 2", "line 6"),
         ] {
             let message = error(&format!("{head}{extra}"));
-            assert!(message.contains(words) && !message.contains('\n'), "{extra}: {message}");
+            assert!(
+                message.contains(words) && !message.contains('\n'),
+                "{extra}: {message}"
+            );
         }
     }
 

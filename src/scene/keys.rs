@@ -27,7 +27,13 @@ fn parameters(kind: &str) -> Option<Vec<&'static str>> {
         return Some(file.settings.iter().map(|s| s.name).collect());
     }
     let kind = kinds::kind(kind).ok()?;
-    Some(kind.parameters.iter().map(|p| p.name).chain(kind.settings().map(|s| s.name)).collect())
+    Some(
+        kind.parameters
+            .iter()
+            .map(|p| p.name)
+            .chain(kind.settings().map(|s| s.name))
+            .collect(),
+    )
 }
 
 /// A value in words, truncated.
@@ -47,7 +53,10 @@ impl<'a> Checker<'a> {
     /// Follows `$ref`.
     fn resolved(&self, schema: &'a Schema) -> &'a Schema {
         match schema.get("$ref").and_then(Schema::as_str) {
-            Some(reference) => self.root.pointer(reference.trim_start_matches('#')).map_or(schema, |s| self.resolved(s)),
+            Some(reference) => self
+                .root
+                .pointer(reference.trim_start_matches('#'))
+                .map_or(schema, |s| self.resolved(s)),
             None => schema,
         }
     }
@@ -56,7 +65,11 @@ impl<'a> Checker<'a> {
     fn ways(&self, schema: &'a Schema) -> Vec<&'a Schema> {
         let schema = self.resolved(schema);
         match schema.get("anyOf").and_then(Schema::as_array) {
-            Some(all) => all.iter().filter(|s| s.get("type").and_then(Schema::as_str) != Some("null")).flat_map(|s| self.ways(s)).collect(),
+            Some(all) => all
+                .iter()
+                .filter(|s| s.get("type").and_then(Schema::as_str) != Some("null"))
+                .flat_map(|s| self.ways(s))
+                .collect(),
             None => vec![schema],
         }
     }
@@ -70,17 +83,29 @@ impl<'a> Checker<'a> {
                 && let Some(of_items) = list.get("items")
             {
                 // Only the items can be of a wrong type.
-                items.iter().try_for_each(|item| self.value(of_items, item, path))?;
+                items
+                    .iter()
+                    .try_for_each(|item| self.value(of_items, item, path))?;
             }
             let needed: Vec<String> = ways.iter().map(|way| self.needed(way)).collect();
-            return Err(format!("has {} for \"{path}\", which must be {}", shown(value), needed.join(" or ")));
+            return Err(format!(
+                "has {} for \"{path}\", which must be {}",
+                shown(value),
+                needed.join(" or ")
+            ));
         };
         match value {
             Value::Array(items) => {
-                let Some(of_items) = way.get("items") else { return Ok(()) };
+                let Some(of_items) = way.get("items") else {
+                    return Ok(());
+                };
                 let numbered = items.first().is_some_and(Value::is_table) && items.len() > 1;
                 items.iter().enumerate().try_for_each(|(n, item)| {
-                    let path = if numbered { format!("{path} {}", n + 1) } else { path.to_owned() };
+                    let path = if numbered {
+                        format!("{path} {}", n + 1)
+                    } else {
+                        path.to_owned()
+                    };
                     self.value(of_items, item, &path)
                 })
             }
@@ -90,8 +115,16 @@ impl<'a> Checker<'a> {
     }
 
     fn table(&self, schema: &'a Schema, entries: &toml::Table, path: &str) -> Result<(), String> {
-        let Some(properties) = schema.get("properties").and_then(Schema::as_object) else { return Ok(()) };
-        let within = |key: &str| if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
+        let Some(properties) = schema.get("properties").and_then(Schema::as_object) else {
+            return Ok(());
+        };
+        let within = |key: &str| {
+            if path.is_empty() {
+                key.to_owned()
+            } else {
+                format!("{path}.{key}")
+            }
+        };
         let section = path.split(' ').next().unwrap_or_default();
         for (key, entry) in entries {
             if let Some(of_key) = properties.get(key) {
@@ -103,24 +136,44 @@ impl<'a> Checker<'a> {
                 // A deformer's numbers are checked by its kind when it is built.
                 match entry {
                     Value::Float(_) | Value::Integer(_) => continue,
-                    other if matches!(key.as_str(), "angle" | "factor" | "amount" | "width" | "amplitude" | "length" | "phase") => {
-                        return Err(format!("has {} for \"{}\", which must be a number", shown(other), within(key)));
+                    other
+                        if matches!(
+                            key.as_str(),
+                            "angle" | "factor" | "amount" | "width" | "amplitude" | "length" | "phase"
+                        ) =>
+                    {
+                        return Err(format!(
+                            "has {} for \"{}\", which must be a number",
+                            shown(other),
+                            within(key)
+                        ));
                     }
                     _ => {}
                 }
             }
             if section == "deformation" {
                 // A deformation's remaining keys are its kind's parameters.
-                let Some(own) = entries.get("kind").and_then(Value::as_str).and_then(parameters) else { continue };
+                let Some(own) = entries.get("kind").and_then(Value::as_str).and_then(parameters) else {
+                    continue;
+                };
                 if own.contains(&key.as_str()) {
                     argument(entry, &within(key))?;
                     continue;
                 }
                 valid_names.extend(own);
             }
-            return Err(format!("has the unknown key \"{}\"; {}", within(key), suggestion(key, valid_names)));
+            return Err(format!(
+                "has the unknown key \"{}\"; {}",
+                within(key),
+                suggestion(key, valid_names)
+            ));
         }
-        let required = schema.get("required").and_then(Schema::as_array).into_iter().flatten().filter_map(Schema::as_str);
+        let required = schema
+            .get("required")
+            .and_then(Schema::as_array)
+            .into_iter()
+            .flatten()
+            .filter_map(Schema::as_str);
         match required.into_iter().find(|key| !entries.contains_key(*key)) {
             Some(missing) if path.is_empty() => Err(format!("lacks the key \"{missing}\"")),
             Some(missing) => Err(format!("lacks the key \"{missing}\" in \"{path}\"")),
@@ -140,10 +193,16 @@ impl<'a> Checker<'a> {
             | ("boolean", Value::Boolean(_))
             | ("object", Value::Table(_))
             | ("number", Value::Float(_) | Value::Integer(_)) => true,
-            ("integer", Value::Integer(n)) => bound("minimum").is_none_or(|m| *n as f64 >= m) && bound("maximum").is_none_or(|m| *n as f64 <= m),
+            ("integer", Value::Integer(n)) => {
+                bound("minimum").is_none_or(|m| *n as f64 >= m)
+                    && bound("maximum").is_none_or(|m| *n as f64 <= m)
+            }
             ("array", Value::Array(items)) => {
                 // Of several schemas for a list, the one whose items have this type.
-                let first = schema.get("items").zip(items.first()).is_none_or(|(s, i)| self.ways(s).into_iter().any(|way| self.fits(way, i)));
+                let first = schema
+                    .get("items")
+                    .zip(items.first())
+                    .is_none_or(|(s, i)| self.ways(s).into_iter().any(|way| self.fits(way, i)));
                 first && has_length(schema, value)
             }
             _ => false,
@@ -153,7 +212,14 @@ impl<'a> Checker<'a> {
     /// What a schema requires, in words.
     fn needed(&self, schema: &'a Schema) -> String {
         if let Some(choices) = choices(schema) {
-            return format!("one of {}", choices.iter().map(|c| format!("\"{c}\"")).collect::<Vec<_>>().join(", "));
+            return format!(
+                "one of {}",
+                choices
+                    .iter()
+                    .map(|c| format!("\"{c}\""))
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            );
         }
         let whole = |name: &str| schema.get(name).and_then(Schema::as_u64);
         match types(schema).first().copied() {
@@ -165,12 +231,14 @@ impl<'a> Checker<'a> {
                 None => "a whole number, 0 or more".into(),
             },
             Some("array") => {
-                let of = schema.get("items").map_or("values", |items| match types(self.resolved(items)).first().copied().unwrap_or("") {
-                    "number" | "integer" => "numbers",
-                    "string" => "strings",
-                    "array" => "rows of numbers",
-                    "object" => "sections",
-                    _ => "values",
+                let of = schema.get("items").map_or("values", |items| {
+                    match types(self.resolved(items)).first().copied().unwrap_or("") {
+                        "number" | "integer" => "numbers",
+                        "string" => "strings",
+                        "array" => "rows of numbers",
+                        "object" => "sections",
+                        _ => "values",
+                    }
                 });
                 match (whole("minItems"), whole("maxItems")) {
                     (Some(n), Some(m)) if n == m => format!("a list of {n} {of}"),
@@ -186,15 +254,23 @@ impl<'a> Checker<'a> {
 /// Whether a list has a length that the schema allows.
 fn has_length(schema: &Schema, value: &Value) -> bool {
     let bound = |name: &str| schema.get(name).and_then(Schema::as_u64);
-    let Some(n) = value.as_array().map(|items| items.len() as u64) else { return false };
-    types(schema).contains(&"array") && bound("minItems").is_none_or(|m| n >= m) && bound("maxItems").is_none_or(|m| n <= m)
+    let Some(n) = value.as_array().map(|items| items.len() as u64) else {
+        return false;
+    };
+    types(schema).contains(&"array")
+        && bound("minItems").is_none_or(|m| n >= m)
+        && bound("maxItems").is_none_or(|m| n <= m)
 }
 
 /// The types of a schema, without `null`.
 fn types(schema: &Schema) -> Vec<&str> {
     match schema.get("type") {
         Some(Schema::String(one)) => vec![one],
-        Some(Schema::Array(all)) => all.iter().filter_map(Schema::as_str).filter(|t| *t != "null").collect(),
+        Some(Schema::Array(all)) => all
+            .iter()
+            .filter_map(Schema::as_str)
+            .filter(|t| *t != "null")
+            .collect(),
         _ => Vec::new(),
     }
 }
@@ -205,10 +281,17 @@ fn choices(schema: &Schema) -> Option<Vec<&str>> {
     if let Some(all) = schema.get("enum").and_then(Schema::as_array) {
         return Some(all.iter().filter_map(Schema::as_str).collect());
     }
-    let all = schema.get("oneOf").and_then(Schema::as_array).filter(|all| all.iter().all(|s| one(s) || s.get("enum").is_some()))?;
+    let all = schema
+        .get("oneOf")
+        .and_then(Schema::as_array)
+        .filter(|all| all.iter().all(|s| one(s) || s.get("enum").is_some()))?;
     Some(
         all.iter()
-            .flat_map(|s| s.get("const").into_iter().chain(s.get("enum").and_then(Schema::as_array).into_iter().flatten()))
+            .flat_map(|s| {
+                s.get("const")
+                    .into_iter()
+                    .chain(s.get("enum").and_then(Schema::as_array).into_iter().flatten())
+            })
             .filter_map(Schema::as_str)
             .collect(),
     )
@@ -220,13 +303,18 @@ fn argument(value: &Value, path: &str) -> Result<(), String> {
     let is_number = |v: &Value| matches!(v, Value::Float(_) | Value::Integer(_));
     let is_row = |v: &Value| v.as_array().is_some_and(|row| row.iter().all(is_number));
     let fits = match value {
-        Value::Array(items) => items.iter().all(is_number) || items.iter().all(Value::is_str) || items.iter().all(is_row),
+        Value::Array(items) => {
+            items.iter().all(is_number) || items.iter().all(Value::is_str) || items.iter().all(is_row)
+        }
         Value::Table(_) | Value::Datetime(_) => false,
         _ => true,
     };
     if fits {
         Ok(())
     } else {
-        Err(format!("has {} for \"{path}\", which must be a number, a string, true or false, or a list of numbers or strings", shown(value)))
+        Err(format!(
+            "has {} for \"{path}\", which must be a number, a string, true or false, or a list of numbers or strings",
+            shown(value)
+        ))
     }
 }

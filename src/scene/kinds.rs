@@ -533,18 +533,37 @@ mod tests {
     fn every_kind_has_its_type() {
         let formulas = kinds::list().map(|k| {
             let settings = k.own_settings().iter().map(|s| s.name).collect::<Vec<_>>();
-            (k.name, k.parameters.iter().map(|p| p.name).collect::<Vec<_>>(), settings)
+            (
+                k.name,
+                k.parameters.iter().map(|p| p.name).collect::<Vec<_>>(),
+                settings,
+            )
         });
-        let files = FILE_KINDS.iter().map(|k| (k.name, Vec::new(), k.settings.iter().map(|s| s.name).collect()));
+        let files = FILE_KINDS
+            .iter()
+            .map(|k| (k.name, Vec::new(), k.settings.iter().map(|s| s.name).collect()));
         let expected: Vec<_> = formulas.chain(files).collect();
-        let typed: Vec<_> = ALL.iter().map(|(kind, numbers, settings)| (*kind, numbers.to_vec(), settings.to_vec())).collect();
+        let typed: Vec<_> = ALL
+            .iter()
+            .map(|(kind, numbers, settings)| (*kind, numbers.to_vec(), settings.to_vec()))
+            .collect();
         assert_eq!(typed, expected);
     }
 
     #[test]
     fn a_typed_kind_is_what_is_typed() {
-        let typed: Deformation = Peel::new().center([1.0, 2.0, 3.0]).size(80.0).progress(0.7).radius(9.0).into();
-        let mut stated = Deformation { center: Some([1.0, 2.0, 3.0]), size: Some(Size::Cube(80.0)), progress: Some(0.7), ..Deformation::new("peel") };
+        let typed: Deformation = Peel::new()
+            .center([1.0, 2.0, 3.0])
+            .size(80.0)
+            .progress(0.7)
+            .radius(9.0)
+            .into();
+        let mut stated = Deformation {
+            center: Some([1.0, 2.0, 3.0]),
+            size: Some(Size::Cube(80.0)),
+            progress: Some(0.7),
+            ..Deformation::new("peel")
+        };
         stated.parameters.insert("radius", 9.0);
         assert_eq!(typed, stated);
     }

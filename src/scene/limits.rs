@@ -41,26 +41,44 @@ impl Scene {
 fn walk(path: &str, name: &str, value: &Value) -> Result<()> {
     match value {
         Value::Table(table) => table.iter().try_for_each(|(key, value)| {
-            let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+            let path = if path.is_empty() {
+                key.clone()
+            } else {
+                format!("{path}.{key}")
+            };
             walk(&path, key, value)
         }),
         Value::Array(items) => {
             if items.len() > MAX_ENTRIES {
-                return Err(Error::value(path, format!("has {} entries; at most {MAX_ENTRIES} can be used", items.len())));
+                return Err(Error::value(
+                    path,
+                    format!("has {} entries; at most {MAX_ENTRIES} can be used", items.len()),
+                ));
             }
             let tables = items.first().is_some_and(Value::is_table);
             items.iter().enumerate().try_for_each(|(n, item)| {
                 // List entries are counted from 1 in messages.
-                let path = if tables { format!("{path} {}", n + 1) } else { path.to_owned() };
+                let path = if tables {
+                    format!("{path} {}", n + 1)
+                } else {
+                    path.to_owned()
+                };
                 walk(&path, name, item)
             })
         }
         Value::Float(v) => number(path, name, *v),
         Value::Integer(v) => number(path, name, *v as f64),
-        Value::String(text) if text.len() > MAX_TEXT => {
-            Err(Error::value(path, format!("is a string of {} bytes; at most {MAX_TEXT} are allowed", text.len())))
-        }
-        Value::String(text) if text.contains('\0') => Err(Error::value(path, "contains a NUL character, which is not allowed; remove it")),
+        Value::String(text) if text.len() > MAX_TEXT => Err(Error::value(
+            path,
+            format!(
+                "is a string of {} bytes; at most {MAX_TEXT} are allowed",
+                text.len()
+            ),
+        )),
+        Value::String(text) if text.contains('\0') => Err(Error::value(
+            path,
+            "contains a NUL character, which is not allowed; remove it",
+        )),
         _ => Ok(()),
     }
 }
@@ -76,7 +94,10 @@ fn number(path: &str, name: &str, value: f64) -> Result<()> {
         return Err(Error::value(path, format!("{value} is not a finite number")));
     }
     if value.abs() > most {
-        return Err(Error::value(path, format!("{value:?} is out of range; use a value from -{most} to {most}{unit}")));
+        return Err(Error::value(
+            path,
+            format!("{value:?} is out of range; use a value from -{most} to {most}{unit}"),
+        ));
     }
     Ok(())
 }
@@ -90,18 +111,33 @@ mod tests {
         let mut scene = Scene::of_volume("phantom:ball");
         scene.deformation = vec![Deformation::new("twist"), Deformation::new("surface-peel")];
         change(&mut scene);
-        scene.check_limits().err().map(|e| e.to_string()).unwrap_or_default()
+        scene
+            .check_limits()
+            .err()
+            .map(|e| e.to_string())
+            .unwrap_or_default()
     }
 
     #[test]
     fn numbers_beyond_use_are_named() {
         assert_eq!(problem(|_| ()), "");
-        assert!(problem(|s| s.deformation[1].center = Some([0.0, 1e30, 0.0])).starts_with("deformation 2.center: 1"));
-        assert!(problem(|s| s.deformation[0].rotate = Some([f32::NAN; 3])).starts_with("deformation 1.rotate: NaN"));
-        assert!(problem(|s| s.deformation[0].parameters.insert("angle", 1e9)).starts_with("deformation 1.angle"));
+        assert!(
+            problem(|s| s.deformation[1].center = Some([0.0, 1e30, 0.0]))
+                .starts_with("deformation 2.center: 1")
+        );
+        assert!(
+            problem(|s| s.deformation[0].rotate = Some([f32::NAN; 3]))
+                .starts_with("deformation 1.rotate: NaN")
+        );
+        assert!(
+            problem(|s| s.deformation[0].parameters.insert("angle", 1e9)).starts_with("deformation 1.angle")
+        );
         assert!(problem(|s| s.camera.view.azimuth_deg = 1e30).starts_with("camera.view"));
         assert!(problem(|s| s.camera.target = Some([f32::INFINITY; 3])).starts_with("camera.target: inf"));
-        assert!(problem(|s| s.render.iso = Some(1e20)).is_empty() && problem(|s| s.render.iso = Some(1e31)).starts_with("render.iso"));
+        assert!(
+            problem(|s| s.render.iso = Some(1e20)).is_empty()
+                && problem(|s| s.render.iso = Some(1e31)).starts_with("render.iso")
+        );
         assert!(problem(|s| s.deformation[0].parameters.insert("path", "a\0b")).contains("NUL"));
     }
 }

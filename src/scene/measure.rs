@@ -34,7 +34,8 @@ pub struct Measure {
     /// The label, of a label map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<u32>,
-    /// Made before the volume's slices were resampled: its points may no longer mark the same anatomy.
+    /// Made before the volume's slices were resampled: its points may no longer mark the same
+    /// anatomy.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub before_resampling: bool,
 }

@@ -81,7 +81,8 @@ pub struct VolumeSource {
     /// Which part of the file to load, and what the file does not state itself.
     #[serde(flatten)]
     pub choice: ReadOptions,
-    /// A label map of the same patient, relative to the scene file; used to name and colour regions on slices.
+    /// A label map of the same patient, relative to the scene file; used to name and colour regions
+    /// on slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<String>,
     /// A closed mesh; only the volume inside it is shown.
@@ -89,7 +90,8 @@ pub struct VolumeSource {
     pub inside: Option<InsideMesh>,
 }
 
-/// The `[volume.inside]` section: a closed mesh that holds the volume (\[RVD01\] section 2). It is the scene's first cut.
+/// The `[volume.inside]` section: a closed mesh that holds the volume (\[RVD01\] section 2). It is
+/// the scene's first cut.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct InsideMesh {
     /// The mesh file, relative to the scene file.
@@ -145,13 +147,15 @@ pub struct Deformation {
     /// Rotation about x, then y, then z, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotate: Option<[f32; 3]>,
-    /// Instead of centre, size and rotation: rows of the affine transform from the unit cube to world mm.
+    /// Instead of centre, size and rotation: rows of the affine transform from the unit cube to
+    /// world mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub matrix: Option<[[f32; 4]; 3]>,
     /// Progress from none (0) to full (1, the default).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f32>,
-    /// Adds its displacement to that of the deformation before it, instead of being applied after it.
+    /// Adds its displacement to that of the deformation before it, instead of being applied after
+    /// it.
     #[serde(default, skip_serializing_if = "is_default")]
     pub add: bool,
     /// Texel format of the map; f16 by default, f32 for fields from files.
@@ -201,7 +205,8 @@ pub struct Light {
     pub specular: f32,
     /// Specular exponent.
     pub shininess: f32,
-    /// Direction towards the light: right, up and towards the viewer for a headlight, otherwise L, P, S.
+    /// Direction towards the light: right, up and towards the viewer for a headlight, otherwise L,
+    /// P, S.
     pub direction: [f32; 3],
     /// Whether the light moves with the camera.
     pub follows_camera: bool,
@@ -212,14 +217,33 @@ pub struct Light {
 impl Light {
     /// The Blinn-Phong coefficients.
     pub fn blinn_phong(&self) -> BlinnPhong {
-        let Self { ambient, diffuse, specular, shininess, .. } = *self;
-        BlinnPhong { ambient, diffuse, specular, shininess }
+        let Self {
+            ambient,
+            diffuse,
+            specular,
+            shininess,
+            ..
+        } = *self;
+        BlinnPhong {
+            ambient,
+            diffuse,
+            specular,
+            shininess,
+        }
     }
 }
 
 impl Default for Light {
     fn default() -> Self {
-        Self { ambient: 0.3, diffuse: 0.7, specular: 0.15, shininess: 24.0, direction: [-0.3, 0.5, 1.0], follows_camera: true, two_sided: true }
+        Self {
+            ambient: 0.3,
+            diffuse: 0.7,
+            specular: 0.15,
+            shininess: 24.0,
+            direction: [-0.3, 0.5, 1.0],
+            follows_camera: true,
+            two_sided: true,
+        }
     }
 }
 
@@ -258,7 +282,8 @@ pub enum CutFaces {
     /// Coloured by the transfer function and shaded.
     #[default]
     Lit,
-    /// The scan's grey values by window and level, opaque and unshaded, as on a slice; black is left transparent.
+    /// The scan's grey values by window and level, opaque and unshaded, as on a slice; black is
+    /// left transparent.
     Grey,
 }
 
@@ -269,7 +294,8 @@ pub enum IsoLight {
     /// By the gradient, transformed with the deformation.
     #[default]
     Gradient,
-    /// By the directional derivative of the deformed volume towards the light: no gradient, Jacobian or highlight.
+    /// By the directional derivative of the deformed volume towards the light: no gradient,
+    /// Jacobian or highlight.
     Derivative,
 }
 
@@ -299,20 +325,23 @@ pub struct RenderSettings {
     pub exact_cuts: bool,
     /// Appearance of cut faces.
     pub cut_faces: CutFaces,
-    /// Show the iso-surface at this value (data units) instead of the volume: the first hit along each ray.
+    /// Show the iso-surface at this value (data units) instead of the volume: the first hit along
+    /// each ray.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iso: Option<f64>,
     /// How the iso-surface is shaded.
     pub iso_light: IsoLight,
-    /// Pre-integrated transfer function: colour and opacity come from the values at both ends of each step instead of one, so that thin features of
-    /// the curve stay closed at longer steps.
+    /// Pre-integrated transfer function: colour and opacity come from the values at both ends of
+    /// each step instead of one, so that thin features of the curve stay closed at longer steps.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub preintegrated: bool,
-    /// Jitter each pixel's samples along its ray by a fixed pseudo-random part of a step: banding becomes fine noise.
+    /// Jitter each pixel's samples along its ray by a fixed pseudo-random part of a step: banding
+    /// becomes fine noise.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub jitter: bool,
-    /// Replace all deformations by one precomputed map wherever its error is at most this, mm; elsewhere, for example along tears, every deformation
-    /// is evaluated. Rendering time then hardly depends on their number.
+    /// Replace all deformations by one precomputed map wherever its error is at most this, mm;
+    /// elsewhere, for example along tears, every deformation is evaluated. Rendering time then
+    /// hardly depends on their number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub precompose: Option<f32>,
 }
@@ -345,7 +374,12 @@ impl Scene {
     pub fn of_volume(path: impl Into<String>) -> Self {
         Self {
             incise: FORMAT_VERSION,
-            volume: Some(VolumeSource { path: path.into(), choice: ReadOptions::default(), labels: None, inside: None }),
+            volume: Some(VolumeSource {
+                path: path.into(),
+                choice: ReadOptions::default(),
+                labels: None,
+                inside: None,
+            }),
             mesh: Vec::new(),
             surface: surface::SurfaceSettings::default(),
             transfer: TransferSettings::default(),
@@ -375,13 +409,26 @@ impl Scene {
     /// The name of the preset used if the scene names none: the phantom's own; grey if the scene
     /// has its own control points; else the preset that suits the volume's values.
     pub fn default_preset(&self, volume: &Volume) -> &'static str {
-        let suits = || if self.transfer.preset.is_none() && self.transfer.points.is_empty() { default_preset(volume) } else { "grey" };
-        self.volume_name().strip_prefix("phantom:").and_then(phantom::preset).unwrap_or_else(suits)
+        let suits = || {
+            if self.transfer.preset.is_none() && self.transfer.points.is_empty() {
+                default_preset(volume)
+            } else {
+                "grey"
+            }
+        };
+        self.volume_name()
+            .strip_prefix("phantom:")
+            .and_then(phantom::preset)
+            .unwrap_or_else(suits)
     }
 
     /// The volume's path resolved against the scene's folder, if there is a volume.
     pub fn volume_path(&self) -> Option<PathBuf> {
         let path = &self.volume.as_ref()?.path;
-        Some(if path.starts_with("phantom:") { PathBuf::from(path) } else { self.folder.join(path_of(path)) })
+        Some(if path.starts_with("phantom:") {
+            PathBuf::from(path)
+        } else {
+            self.folder.join(path_of(path))
+        })
     }
 }

@@ -8,7 +8,18 @@ use crate::{Error, Result, mesh};
 use std::path::{Component, Path, PathBuf};
 
 /// Settings of deformations that may name files.
-const FILE_SETTINGS: [&str; 10] = ["path", "moving", "reference", "labels", "mask", "pairs", "from", "to", "offsets", "points"];
+const FILE_SETTINGS: [&str; 10] = [
+    "path",
+    "moving",
+    "reference",
+    "labels",
+    "mask",
+    "pairs",
+    "from",
+    "to",
+    "offsets",
+    "points",
+];
 
 impl Scene {
     /// The scene of an input: a scene file, or a scene with all defaults for a volume, a mesh or a
@@ -18,7 +29,12 @@ impl Scene {
     /// A scene file that is invalid.
     pub fn of_input(input: &Path) -> Result<Self> {
         let text = text_of(input);
-        match input.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        match input
+            .extension()
+            .and_then(|e| e.to_str())
+            .map(str::to_ascii_lowercase)
+            .as_deref()
+        {
             Some("toml") => Self::load(input),
             _ if mesh::load::is_mesh(input) => Ok(Self::of_mesh(text)),
             _ => Ok(Self::of_volume(text)),
@@ -28,12 +44,32 @@ impl Scene {
     /// Files that the scene reads: its volume, its labels, its meshes and the files of its
     /// deformations.
     pub fn files(&self) -> Vec<PathBuf> {
-        let named = self.deformation.iter().flat_map(|d| FILE_SETTINGS.iter().flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default()));
+        let named = self.deformation.iter().flat_map(|d| {
+            FILE_SETTINGS
+                .iter()
+                .flat_map(|n| d.parameters.texts(n).ok().flatten().unwrap_or_default())
+        });
         let holder = self.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
         let labels = self.volume.iter().flat_map(|v| &v.labels);
-        let at = |p: &str| if p.starts_with("phantom:") { PathBuf::from(p) } else { self.folder.join(path_of(p)) };
-        let meshes = self.mesh.iter().flat_map(|m| m.path.iter().chain(&m.volume)).chain(holder).chain(labels).map(|p| at(p));
-        self.volume_path().into_iter().chain(meshes).chain(named.map(|p| at(&p))).collect()
+        let at = |p: &str| {
+            if p.starts_with("phantom:") {
+                PathBuf::from(p)
+            } else {
+                self.folder.join(path_of(p))
+            }
+        };
+        let meshes = self
+            .mesh
+            .iter()
+            .flat_map(|m| m.path.iter().chain(&m.volume))
+            .chain(holder)
+            .chain(labels)
+            .map(|p| at(p));
+        self.volume_path()
+            .into_iter()
+            .chain(meshes)
+            .chain(named.map(|p| at(&p)))
+            .collect()
     }
 
     /// The same scene as a file in `folder` would state it: paths relative where they lie below it,
@@ -43,10 +79,18 @@ impl Scene {
     /// The current folder cannot be determined.
     pub fn moved_to(&self, folder: &Path) -> Result<Self> {
         let mut scene = self.clone();
-        let from = std::path::absolute(if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder })
-            .map_err(|e| Error::io(&self.folder, "reading", e))?;
-        let to =
-            std::path::absolute(if folder.as_os_str().is_empty() { Path::new(".") } else { folder }).map_err(|e| Error::io(folder, "reading", e))?;
+        let from = std::path::absolute(if self.folder.as_os_str().is_empty() {
+            Path::new(".")
+        } else {
+            &self.folder
+        })
+        .map_err(|e| Error::io(&self.folder, "reading", e))?;
+        let to = std::path::absolute(if folder.as_os_str().is_empty() {
+            Path::new(".")
+        } else {
+            folder
+        })
+        .map_err(|e| Error::io(folder, "reading", e))?;
         let to = plain(&to);
         let moved = |path: &mut String| {
             if !path.starts_with("phantom:") {
@@ -66,7 +110,10 @@ impl Scene {
     /// Replaces `missing` by `found`; other missing files of the same folder are looked for next to
     /// it.
     pub fn relocate(&mut self, missing: &Path, found: &Path) {
-        let (old, new) = (missing.parent().map(Path::to_owned), found.parent().map(Path::to_owned));
+        let (old, new) = (
+            missing.parent().map(Path::to_owned),
+            found.parent().map(Path::to_owned),
+        );
         let folder = self.folder.clone();
         let moved = |path: &mut String| {
             let full = folder.join(path_of(path));
@@ -141,7 +188,9 @@ mod tests {
         std::fs::create_dir_all(&b).unwrap();
         let mut scene = Scene::of_volume("scan.nii.gz");
         scene.folder = a.clone();
-        scene.mesh.push(super::super::surface::MeshSource::of_file("../b/model.stl"));
+        scene
+            .mesh
+            .push(super::super::surface::MeshSource::of_file("../b/model.stl"));
         let mut field = Deformation::new("field");
         field.parameters.insert("path", "warp.nii.gz");
         scene.deformation.push(field);
@@ -151,6 +200,12 @@ mod tests {
         assert_eq!(moved.mesh[0].path.as_deref(), Some("model.stl"));
         assert_eq!(files(&moved.moved_to(&a).unwrap()), files(&scene));
         assert_eq!(moved.moved_to(&a).unwrap().volume_name(), "scan.nii.gz");
-        assert_eq!(Scene::of_volume("phantom:ball").moved_to(&b).unwrap().volume_name(), "phantom:ball");
+        assert_eq!(
+            Scene::of_volume("phantom:ball")
+                .moved_to(&b)
+                .unwrap()
+                .volume_name(),
+            "phantom:ball"
+        );
     }
 }

@@ -21,7 +21,8 @@ impl Scene {
 fn check_size(settings: &RenderSettings) -> Result<()> {
     let [width, height] = settings.size;
     if !settings.size.iter().all(|n| (1..=MAX_PICTURE_EDGE).contains(n)) {
-        let problem = format!("{width} x {height} pixels is out of range; each edge must be 1 to {MAX_PICTURE_EDGE}");
+        let problem =
+            format!("{width} x {height} pixels is out of range; each edge must be 1 to {MAX_PICTURE_EDGE}");
         return Err(Error::value("size", problem));
     }
     let n = settings.antialias;
@@ -61,30 +62,49 @@ const PRECOMPOSE_MM: std::ops::RangeInclusive<f32> = 0.001..=100.0;
 fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     check_size(settings)?;
     if !(settings.step.is_finite() && (0.01..=100.0).contains(&settings.step)) {
-        return Err(Error::value("step", format!("{} is outside 0.01 to 100 voxels", settings.step)));
+        return Err(Error::value(
+            "step",
+            format!("{} is outside 0.01 to 100 voxels", settings.step),
+        ));
     }
     if settings.iso.is_some_and(|v| !v.is_finite()) {
         return Err(Error::value("iso", "must be a finite value"));
     }
     if settings.precompose.is_some_and(|mm| !PRECOMPOSE_MM.contains(&mm)) {
         let [least, most] = [PRECOMPOSE_MM.start(), PRECOMPOSE_MM.end()];
-        return Err(Error::value("precompose", format!("must be an error bound in mm, from {least} to {most}")));
+        return Err(Error::value(
+            "precompose",
+            format!("must be an error bound in mm, from {least} to {most}"),
+        ));
     }
     if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
         return Err(Error::value("background", "its components must lie within 0..1"));
     }
-    let unit = [("ambient", light.ambient), ("diffuse", light.diffuse), ("specular", light.specular)];
+    let unit = [
+        ("ambient", light.ambient),
+        ("diffuse", light.diffuse),
+        ("specular", light.specular),
+    ];
     for (name, value) in unit {
         if !(0.0..=1.0).contains(&value) {
-            return Err(Error::value(format!("light.{name}"), format!("{value} is outside 0 to 1")));
+            return Err(Error::value(
+                format!("light.{name}"),
+                format!("{value} is outside 0 to 1"),
+            ));
         }
     }
     if !(1.0..=10_000.0).contains(&light.shininess) {
-        return Err(Error::value("light.shininess", format!("{} is outside 1 to 10000", light.shininess)));
+        return Err(Error::value(
+            "light.shininess",
+            format!("{} is outside 1 to 10000", light.shininess),
+        ));
     }
     let direction = DVec3::from(light.direction.map(f64::from));
     if !(direction.is_finite() && direction.length() > 1e-6) {
-        return Err(Error::value("light.direction", "must be a direction: finite and not zero"));
+        return Err(Error::value(
+            "light.direction",
+            "must be a direction: finite and not zero",
+        ));
     }
     Ok(())
 }

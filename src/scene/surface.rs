@@ -31,7 +31,8 @@ pub enum Steps {
     Threshold,
     /// Even in the undeformed scene (\[DS07\] eq 4).
     Jacobian,
-    /// Sphere tracing: as far as the distance field and the deformation's Lipschitz bound allow (Hart 1996, in deformed space).
+    /// Sphere tracing: as far as the distance field and the deformation's Lipschitz bound allow
+    /// (Hart 1996, in deformed space).
     #[default]
     Sphere,
 }
@@ -50,7 +51,8 @@ pub enum Representation {
     Triangles,
 }
 
-/// Appearance of a surface; unset values come from the look, the `[surface]` section, or the defaults.
+/// Appearance of a surface; unset values come from the look, the `[surface]` section, or the
+/// defaults.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Appearance {
     /// A preset by name: clay, skin, bone, apple, marble, jade, gold, muscle, porcelain.
@@ -77,7 +79,8 @@ pub struct Appearance {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct SurfaceSettings {
-    /// Iso-value shown by the mode "surface" if the scene has no mesh; chosen from the histogram by default.
+    /// Iso-value shown by the mode "surface" if the scene has no mesh; chosen from the histogram by
+    /// default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iso: Option<f64>,
     /// Default appearance of surfaces.
@@ -89,7 +92,8 @@ pub struct SurfaceSettings {
     pub threshold: f32,
     /// Skip space emptied by cuts.
     pub cut_skipping: bool,
-    /// Rasterise triangles outside all deformation boxes and cast rays only through the boxes (\[DS07\] section 3).
+    /// Rasterise triangles outside all deformation boxes and cast rays only through the boxes
+    /// (\[DS07\] section 3).
     pub two_stage: bool,
     /// Width of the seam in which the two are blended, cells.
     pub seam: f32,
@@ -167,8 +171,8 @@ pub struct DeformerSource {
     /// Offsets of a lattice's control points: index along x, y, z (0 to 3), then the offset in mm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub points: Vec<[f32; 6]>,
-    /// Its numbers: angle (twist, bend; degrees over the box), factor (taper), amount (shear, bulge), width (bulge, mm), amplitude (wave,
-    /// mm), length (wave, mm), phase (wave, degrees).
+    /// Its numbers: angle (twist, bend; degrees over the box), factor (taper), amount (shear,
+    /// bulge), width (bulge, mm), amplitude (wave, mm), length (wave, mm), phase (wave, degrees).
     #[serde(flatten)]
     pub numbers: BTreeMap<String, f32>,
 }
@@ -185,7 +189,8 @@ pub struct MeshPlace {
     /// Turn about x, then y, then z, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotate: Option<[f32; 3]>,
-    /// Instead of centre, size and rotation: rows of the affine transform from the file's coordinates to world mm.
+    /// Instead of centre, size and rotation: rows of the affine transform from the file's
+    /// coordinates to world mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub matrix: Option<[[f32; 4]; 3]>,
 }
@@ -271,32 +276,147 @@ pub struct Look {
 /// The forward deformers: name, effect, parameters.
 pub const DEFORMERS: [(&str, &str, &str); 7] = [
     ("twist", "turns about z over the box's height", "angle (degrees)"),
-    ("bend", "bends z towards x over the box's height", "angle (degrees)"),
+    (
+        "bend",
+        "bends z towards x over the box's height",
+        "angle (degrees)",
+    ),
     ("taper", "scales x and y towards the upper end", "factor"),
     ("shear", "shifts x in proportion to z", "amount (mm per mm)"),
     ("bulge", "swells x and y around the middle", "amount, width (mm)"),
-    ("wave", "circular waves around z", "amplitude (mm), length (mm), phase (degrees)"),
-    ("lattice", "free-form deformation by 4x4x4 control points", "points = [[i, j, k, x, y, z], ...] (mm)"),
+    (
+        "wave",
+        "circular waves around z",
+        "amplitude (mm), length (mm), phase (degrees)",
+    ),
+    (
+        "lattice",
+        "free-form deformation by 4x4x4 control points",
+        "points = [[i, j, k, x, y, z], ...] (mm)",
+    ),
 ];
 
 /// Name, description, and the look.
 type LookPreset = (&'static str, &'static str, Look);
 
-const fn look(color: [f32; 3], inside: [f32; 3], cut: [f32; 3], highlight: [f32; 2], model: CutModel) -> Look {
-    Look { color, inside, cut, highlight, model, thickness: None }
+const fn look(
+    color: [f32; 3],
+    inside: [f32; 3],
+    cut: [f32; 3],
+    highlight: [f32; 2],
+    model: CutModel,
+) -> Look {
+    Look {
+        color,
+        inside,
+        cut,
+        highlight,
+        model,
+        thickness: None,
+    }
 }
 
 /// The presets.
 pub const LOOKS: [LookPreset; 9] = [
-    ("clay", "matt grey-brown, solid", look([0.78, 0.70, 0.62], [0.55, 0.42, 0.36], [0.72, 0.45, 0.35], [0.10, 16.0], CutModel::Solid)),
-    ("skin", "skin over red muscle, thick", look([0.87, 0.68, 0.57], [0.62, 0.25, 0.22], [0.75, 0.27, 0.25], [0.18, 24.0], CutModel::Thick)),
-    ("bone", "ivory, spongy inside, solid", look([0.93, 0.89, 0.78], [0.72, 0.58, 0.46], [0.84, 0.68, 0.53], [0.20, 32.0], CutModel::Solid)),
-    ("apple", "red with pale flesh, solid", look([0.78, 0.12, 0.10], [0.93, 0.87, 0.64], [0.95, 0.91, 0.72], [0.35, 40.0], CutModel::Solid)),
-    ("marble", "white, solid", look([0.92, 0.92, 0.94], [0.60, 0.62, 0.68], [0.78, 0.80, 0.86], [0.40, 60.0], CutModel::Solid)),
-    ("jade", "green, hollow", look([0.35, 0.68, 0.48], [0.80, 0.78, 0.50], [0.55, 0.80, 0.60], [0.35, 40.0], CutModel::Hollow)),
-    ("gold", "metal, hollow, dark inside", look([0.90, 0.70, 0.28], [0.42, 0.28, 0.14], [0.98, 0.84, 0.48], [0.60, 50.0], CutModel::Hollow)),
-    ("muscle", "dark red, solid", look([0.66, 0.24, 0.21], [0.45, 0.12, 0.12], [0.80, 0.38, 0.34], [0.25, 28.0], CutModel::Solid)),
-    ("porcelain", "blue-white, thick", look([0.82, 0.88, 0.96], [0.93, 0.90, 0.82], [0.62, 0.70, 0.82], [0.55, 70.0], CutModel::Thick)),
+    (
+        "clay",
+        "matt grey-brown, solid",
+        look(
+            [0.78, 0.70, 0.62],
+            [0.55, 0.42, 0.36],
+            [0.72, 0.45, 0.35],
+            [0.10, 16.0],
+            CutModel::Solid,
+        ),
+    ),
+    (
+        "skin",
+        "skin over red muscle, thick",
+        look(
+            [0.87, 0.68, 0.57],
+            [0.62, 0.25, 0.22],
+            [0.75, 0.27, 0.25],
+            [0.18, 24.0],
+            CutModel::Thick,
+        ),
+    ),
+    (
+        "bone",
+        "ivory, spongy inside, solid",
+        look(
+            [0.93, 0.89, 0.78],
+            [0.72, 0.58, 0.46],
+            [0.84, 0.68, 0.53],
+            [0.20, 32.0],
+            CutModel::Solid,
+        ),
+    ),
+    (
+        "apple",
+        "red with pale flesh, solid",
+        look(
+            [0.78, 0.12, 0.10],
+            [0.93, 0.87, 0.64],
+            [0.95, 0.91, 0.72],
+            [0.35, 40.0],
+            CutModel::Solid,
+        ),
+    ),
+    (
+        "marble",
+        "white, solid",
+        look(
+            [0.92, 0.92, 0.94],
+            [0.60, 0.62, 0.68],
+            [0.78, 0.80, 0.86],
+            [0.40, 60.0],
+            CutModel::Solid,
+        ),
+    ),
+    (
+        "jade",
+        "green, hollow",
+        look(
+            [0.35, 0.68, 0.48],
+            [0.80, 0.78, 0.50],
+            [0.55, 0.80, 0.60],
+            [0.35, 40.0],
+            CutModel::Hollow,
+        ),
+    ),
+    (
+        "gold",
+        "metal, hollow, dark inside",
+        look(
+            [0.90, 0.70, 0.28],
+            [0.42, 0.28, 0.14],
+            [0.98, 0.84, 0.48],
+            [0.60, 50.0],
+            CutModel::Hollow,
+        ),
+    ),
+    (
+        "muscle",
+        "dark red, solid",
+        look(
+            [0.66, 0.24, 0.21],
+            [0.45, 0.12, 0.12],
+            [0.80, 0.38, 0.34],
+            [0.25, 28.0],
+            CutModel::Solid,
+        ),
+    ),
+    (
+        "porcelain",
+        "blue-white, thick",
+        look(
+            [0.82, 0.88, 0.96],
+            [0.93, 0.90, 0.82],
+            [0.62, 0.70, 0.82],
+            [0.55, 70.0],
+            CutModel::Thick,
+        ),
+    ),
 ];
 
 impl Appearance {
@@ -310,7 +430,13 @@ impl Appearance {
         let preset = LOOKS.iter().find(|l| l.0 == name);
         let mut look = preset
             .ok_or_else(|| {
-                Error::value(format!("look \"{name}\""), format!("there is no such look; {}", suggestion(name, LOOKS.iter().map(|l| l.0))))
+                Error::value(
+                    format!("look \"{name}\""),
+                    format!(
+                        "there is no such look; {}",
+                        suggestion(name, LOOKS.iter().map(|l| l.0))
+                    ),
+                )
             })?
             .2;
         // A preset of this surface takes precedence over a general colour.
@@ -318,8 +444,16 @@ impl Appearance {
         let pick = |mine: Option<[f32; 3]>, all: Option<[f32; 3]>| mine.or(if own { None } else { all });
         for (name, value, target) in [
             ("color", pick(self.color, general.color), &mut look.color),
-            ("inside_color", pick(self.inside_color, general.inside_color), &mut look.inside),
-            ("cut_color", pick(self.cut_color, general.cut_color), &mut look.cut),
+            (
+                "inside_color",
+                pick(self.inside_color, general.inside_color),
+                &mut look.inside,
+            ),
+            (
+                "cut_color",
+                pick(self.cut_color, general.cut_color),
+                &mut look.cut,
+            ),
         ] {
             if let Some(c) = value {
                 if !c.iter().all(|v| (0.0..=1.0).contains(v)) {
@@ -328,10 +462,16 @@ impl Appearance {
                 *target = c;
             }
         }
-        look.model = self.model.or(if own { None } else { general.model }).unwrap_or(look.model);
+        look.model = self
+            .model
+            .or(if own { None } else { general.model })
+            .unwrap_or(look.model);
         look.thickness = self.thickness.or(general.thickness);
         if look.thickness.is_some_and(|t| !(t.is_finite() && t > 0.0)) {
-            return Err(Error::value("thickness", "must be a positive number of millimetres"));
+            return Err(Error::value(
+                "thickness",
+                "must be a positive number of millimetres",
+            ));
         }
         Ok(look)
     }
@@ -340,21 +480,34 @@ impl Appearance {
 impl MeshSource {
     /// A mesh file with all defaults.
     pub fn of_file(path: impl Into<String>) -> Self {
-        Self { path: Some(path.into()), ..Self::default() }
+        Self {
+            path: Some(path.into()),
+            ..Self::default()
+        }
     }
 
     /// A name for messages.
     pub(crate) fn label(&self, n: usize) -> String {
-        self.name.clone().or_else(|| self.path.clone()).unwrap_or_else(|| format!("mesh {}", n + 1))
+        self.name
+            .clone()
+            .or_else(|| self.path.clone())
+            .unwrap_or_else(|| format!("mesh {}", n + 1))
     }
 
     pub(crate) fn representation(&self) -> Representation {
-        self.representation.unwrap_or(if self.deformer.is_empty() { Representation::Field } else { Representation::Triangles })
+        self.representation.unwrap_or(if self.deformer.is_empty() {
+            Representation::Field
+        } else {
+            Representation::Triangles
+        })
     }
 
     /// Key of everything that determines the mesh after its deformers.
     pub(crate) fn mesh_key(&self) -> String {
-        format!("{:?} {:?} {:?} {:?}", self.path, self.place, self.deformer, self.tessellate)
+        format!(
+            "{:?} {:?} {:?} {:?}",
+            self.path, self.place, self.deformer, self.tessellate
+        )
     }
 
     pub(crate) fn check(&self) -> Result<()> {
@@ -363,13 +516,19 @@ impl MeshSource {
             + usize::from(!self.label.is_empty())
             + usize::from(!self.shape.is_empty());
         if sources != 1 {
-            return Err(Error::value("path, iso, label, shape", "give exactly one of these for a mesh"));
+            return Err(Error::value(
+                "path, iso, label, shape",
+                "give exactly one of these for a mesh",
+            ));
         }
         if self.path.is_none() {
             let only_files = [
                 ("center, size, rotate, matrix", self.place != MeshPlace::default()),
                 ("deformer", !self.deformer.is_empty()),
-                ("representation", !matches!(self.representation, None | Some(Representation::Field))),
+                (
+                    "representation",
+                    !matches!(self.representation, None | Some(Representation::Field)),
+                ),
                 ("tessellate", self.tessellate.is_some()),
                 ("resolution", self.resolution.is_some()),
                 ("exact", self.exact),
@@ -381,13 +540,19 @@ impl MeshSource {
             }
         }
         if self.path.is_some() && self.volume.is_some() {
-            return Err(Error::value("volume", "applies only to meshes from an iso-value or labels; leave it out"));
+            return Err(Error::value(
+                "volume",
+                "applies only to meshes from an iso-value or labels; leave it out",
+            ));
         }
         if self.resolution.is_some_and(|n| !(16..=1024).contains(&n)) {
             return Err(Error::value("resolution", "is outside 16 to 1024 points"));
         }
         if self.tessellate.is_some_and(|t| !(t.is_finite() && t > 0.0)) {
-            return Err(Error::value("tessellate", "must be a positive number of millimetres"));
+            return Err(Error::value(
+                "tessellate",
+                "must be a positive number of millimetres",
+            ));
         }
         Ok(())
     }
@@ -399,15 +564,26 @@ impl SurfaceSettings {
     /// # Errors
     /// The first invalid setting, by name.
     pub(crate) fn check(&self) -> Result<()> {
-        self.appearance.resolve(&Appearance::default()).map_err(|e| e.within("surface"))?;
+        self.appearance
+            .resolve(&Appearance::default())
+            .map_err(|e| e.within("surface"))?;
         if !(self.threshold.is_finite() && self.threshold >= 0.0) {
-            return Err(Error::value("surface.threshold", "is a number of cells; it must not be negative"));
+            return Err(Error::value(
+                "surface.threshold",
+                "is a number of cells; it must not be negative",
+            ));
         }
         if !(self.seam.is_finite() && self.seam > 0.0) {
-            return Err(Error::value("surface.seam", "is a number of cells; it must be positive"));
+            return Err(Error::value(
+                "surface.seam",
+                "is a number of cells; it must be positive",
+            ));
         }
         if !(16..=1024).contains(&self.resolution) {
-            return Err(Error::value("surface.resolution", format!("{} is outside 16 to 1024 points", self.resolution)));
+            return Err(Error::value(
+                "surface.resolution",
+                format!("{} is outside 16 to 1024 points", self.resolution),
+            ));
         }
         Ok(())
     }

@@ -78,7 +78,8 @@ pub struct TransferSettings {
     /// Opacity by gradient magnitude.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub gradient_opacity: Vec<GradientPoint>,
-    /// Whether RGB voxels show their own colour; by default if no preset is named, or the preset is "color".
+    /// Whether RGB voxels show their own colour; by default if no preset is named, or the preset is
+    /// "color".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub own_colors: Option<bool>,
     /// Blend mode instead of the preset's.
@@ -106,12 +107,23 @@ impl TransferSettings {
     /// or outside 0..1.
     pub fn resolve(&self, volume: &Volume, fallback: &str) -> Result<TransferFunction> {
         let name = self.preset.as_deref().unwrap_or(fallback);
-        let preset = preset(name)
-            .ok_or_else(|| Error::value("preset", format!("there is no preset \"{name}\"; {}", suggestion(name, list().map(|p| p.name)))))?;
+        let preset = preset(name).ok_or_else(|| {
+            Error::value(
+                "preset",
+                format!(
+                    "there is no preset \"{name}\"; {}",
+                    suggestion(name, list().map(|p| p.name))
+                ),
+            )
+        })?;
         let mut function = if self.points.is_empty() {
             preset.adapted_to(volume)
         } else {
-            TransferFunction { points: self.points.clone(), gradient_opacity: Vec::new(), blend: preset.blend }
+            TransferFunction {
+                points: self.points.clone(),
+                gradient_opacity: Vec::new(),
+                blend: preset.blend,
+            }
         };
         if !self.gradient_opacity.is_empty() {
             function.gradient_opacity.clone_from(&self.gradient_opacity);
@@ -122,7 +134,10 @@ impl TransferSettings {
         check(&function)?;
         if let Some(density) = self.density {
             if !(0.0..=1000.0).contains(&density) {
-                return Err(Error::value("transfer.density", format!("{density} is outside 0 to 1000")));
+                return Err(Error::value(
+                    "transfer.density",
+                    format!("{density} is outside 0 to 1000"),
+                ));
             }
             for p in &mut function.points {
                 p.opacity = 1.0 - (1.0 - p.opacity).powf(density as f32);
@@ -138,12 +153,18 @@ fn check(function: &TransferFunction) -> Result<()> {
     let p = &function.points;
     for (n, point) in p.iter().enumerate() {
         if !point.value.is_finite() || !unit(point.opacity) || !point.color.iter().all(|&c| unit(c)) {
-            return Err(Error::value(format!("transfer.points[{n}]"), "values must be finite, colour and opacity within 0..1"));
+            return Err(Error::value(
+                format!("transfer.points[{n}]"),
+                "values must be finite, colour and opacity within 0..1",
+            ));
         }
         if n > 0 && p[n - 1].value > point.value {
             return Err(Error::value(
                 format!("transfer.points[{n}]"),
-                format!("value {} is lower than the one before it; sort the points by value", point.value),
+                format!(
+                    "value {} is lower than the one before it; sort the points by value",
+                    point.value
+                ),
             ));
         }
     }
@@ -156,7 +177,10 @@ fn check(function: &TransferFunction) -> Result<()> {
             ));
         }
         if n > 0 && g[n - 1].magnitude > point.magnitude {
-            return Err(Error::value(format!("transfer.gradient_opacity[{n}]"), "sort the points by magnitude"));
+            return Err(Error::value(
+                format!("transfer.gradient_opacity[{n}]"),
+                "sort the points by magnitude",
+            ));
         }
     }
     Ok(())
@@ -174,8 +198,16 @@ impl TransferFunction {
     /// one half, this function's highest opacity above.
     pub fn of_presence(&self) -> Self {
         let opacity = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
-        let point = |value, opacity| ControlPoint { value, color: [1.0; 3], opacity };
-        Self { points: vec![point(PRESENCE[0], 0.0), point(PRESENCE[1], opacity)], gradient_opacity: Vec::new(), blend: self.blend }
+        let point = |value, opacity| ControlPoint {
+            value,
+            color: [1.0; 3],
+            opacity,
+        };
+        Self {
+            points: vec![point(PRESENCE[0], 0.0), point(PRESENCE[1], opacity)],
+            gradient_opacity: Vec::new(),
+            blend: self.blend,
+        }
     }
 
     /// Maps the curve's domain onto `level ± window/2`; a missing window or level keeps its value.
@@ -187,7 +219,10 @@ impl TransferFunction {
         let width = window.unwrap_or(high - low);
         let middle = level.unwrap_or((low + high) / 2.0);
         if !(width.is_finite() && width > 0.0) {
-            return Err(Error::value("window", format!("{width} is not a positive window width in data units")));
+            return Err(Error::value(
+                "window",
+                format!("{width} is not a positive window width in data units"),
+            ));
         }
         if !middle.is_finite() {
             return Err(Error::value("level", "must be a finite data value"));

@@ -71,7 +71,11 @@ impl Integrals {
         let (low, high) = (a.min(b), a.max(b));
         let width = (high - low).max(1e-3);
         // For a single position, a short interval around it.
-        let low = if high - low < 1e-3 { (low - width / 2.0).clamp(0.0, (TABLE_ENTRIES - 1) as f64 - width) } else { low };
+        let low = if high - low < 1e-3 {
+            (low - width / 2.0).clamp(0.0, (TABLE_ENTRIES - 1) as f64 - width)
+        } else {
+            low
+        };
         let (from, to) = (self.up_to(low), self.up_to(low + width));
         std::array::from_fn(|c| (to[c] - from[c]) / width)
     }
@@ -84,9 +88,21 @@ impl Preintegrated {
         let position = |n: usize| n as f64 * (TABLE_ENTRIES - 1) as f64 / (PREINTEGRATED_SIZE - 1) as f64;
         let entries = (0..PREINTEGRATED_SIZE * PREINTEGRATED_SIZE)
             .into_par_iter()
-            .map(|n| segment(&integrals, position(n / PREINTEGRATED_SIZE), position(n % PREINTEGRATED_SIZE), f64::from(length)))
+            .map(|n| {
+                segment(
+                    &integrals,
+                    position(n / PREINTEGRATED_SIZE),
+                    position(n % PREINTEGRATED_SIZE),
+                    f64::from(length),
+                )
+            })
             .collect();
-        let depths = table.entries.iter().zip(&integrals.0).map(|(e, to)| [e[3], to[0] as f32]).collect();
+        let depths = table
+            .entries
+            .iter()
+            .zip(&integrals.0)
+            .map(|(e, to)| [e[3], to[0] as f32])
+            .collect();
         Self { entries, depths }
     }
 
@@ -123,7 +139,10 @@ impl Preintegrated {
         let at = |f: usize, b: usize| self.entries[f * PREINTEGRATED_SIZE + b];
         let (low, high) = ([at(f, b), at(f, b + 1)], [at(f + 1, b), at(f + 1, b + 1)]);
         let mix = |c: usize| {
-            let (near, far) = (low[0][c] + (low[1][c] - low[0][c]) * tb, high[0][c] + (high[1][c] - high[0][c]) * tb);
+            let (near, far) = (
+                low[0][c] + (low[1][c] - low[0][c]) * tb,
+                high[0][c] + (high[1][c] - high[0][c]) * tb,
+            );
             near + (far - near) * tf
         };
         [mix(0), mix(1), mix(2), self.depth(front, back)]
@@ -146,7 +165,11 @@ fn segment(integrals: &Integrals, front: f64, back: f64, length: f64) -> [f32; 4
         weight += adds;
         passed *= pass;
     }
-    let [r, g, b] = if weight > 1e-12 { color.map(|c| c / weight) } else { [whole[4], whole[5], whole[6]] };
+    let [r, g, b] = if weight > 1e-12 {
+        color.map(|c| c / weight)
+    } else {
+        [whole[4], whole[5], whole[6]]
+    };
     [r, g, b, whole[0]].map(|v| v as f32)
 }
 
@@ -156,16 +179,38 @@ mod tests {
     use super::*;
 
     fn table(points: &[(f64, [f32; 3], f32)]) -> TransferTable {
-        let points = points.iter().map(|&(value, color, opacity)| ControlPoint { value, color, opacity }).collect();
-        TransferTable::new(&TransferFunction { points, gradient_opacity: Vec::new(), blend: Blend::Composite }, [0.0, 1.0])
+        let points = points
+            .iter()
+            .map(|&(value, color, opacity)| ControlPoint {
+                value,
+                color,
+                opacity,
+            })
+            .collect();
+        TransferTable::new(
+            &TransferFunction {
+                points,
+                gradient_opacity: Vec::new(),
+                blend: Blend::Composite,
+            },
+            [0.0, 1.0],
+        )
     }
 
     #[test]
     fn a_uniform_curve_is_itself() {
-        let t = Preintegrated::new(&table(&[(0.0, [0.2, 0.4, 0.6], 0.5), (1.0, [0.2, 0.4, 0.6], 0.5)]), 1.0);
+        let t = Preintegrated::new(
+            &table(&[(0.0, [0.2, 0.4, 0.6], 0.5), (1.0, [0.2, 0.4, 0.6], 0.5)]),
+            1.0,
+        );
         for (front, back) in [(0.0, 0.0), (0.1, 0.9), (0.77, 0.3), (1.0, 1.0)] {
             let e = t.lookup(front, back);
-            assert!(e.iter().zip([0.2, 0.4, 0.6, 1.0]).all(|(a, b)| (a - b).abs() < 1e-4), "{front} {back}: {e:?}");
+            assert!(
+                e.iter()
+                    .zip([0.2, 0.4, 0.6, 1.0])
+                    .all(|(a, b)| (a - b).abs() < 1e-4),
+                "{front} {back}: {e:?}"
+            );
         }
     }
 
@@ -178,16 +223,25 @@ mod tests {
             let (a, b) = (0.8 * f64::from(front), 0.8 * f64::from(back));
             let want = (integral(b) - integral(a)) / (b - a);
             let depth = f64::from(t.lookup(front, back)[3]);
-            assert!((depth - want).abs() < 1e-3 * want.max(0.1), "{front} {back}: {depth}, {want}");
+            assert!(
+                (depth - want).abs() < 1e-3 * want.max(0.1),
+                "{front} {back}: {depth}, {want}"
+            );
         }
         for length in [0.5f32, 2.0, 8.0] {
-            let t = Preintegrated::new(&table(&[(0.0, [0.0, 1.0, 0.5], 0.5), (1.0, [1.0, 0.0, 0.5], 0.5)]), length);
+            let t = Preintegrated::new(
+                &table(&[(0.0, [0.0, 1.0, 0.5], 0.5), (1.0, [1.0, 0.0, 0.5], 0.5)]),
+                length,
+            );
             let a = f64::from(length) * std::f64::consts::LN_2;
             let share = 1.0 / a - (-a).exp() / (1.0 - (-a).exp());
             for (front, back) in [(0.0f32, 1.0f32), (1.0, 0.0), (0.3, 0.8)] {
                 let want = f64::from(front) + f64::from(back - front) * share;
                 let [r, g, b, _] = t.lookup(front, back).map(f64::from);
-                assert!((r - want).abs() < 4e-3 && (g + r - 1.0).abs() < 1e-4 && (b - 0.5).abs() < 1e-4, "{length} {front} {back}: {r}, {want}");
+                assert!(
+                    (r - want).abs() < 4e-3 && (g + r - 1.0).abs() < 1e-4 && (b - 0.5).abs() < 1e-4,
+                    "{length} {front} {back}: {r}, {want}"
+                );
             }
         }
     }
@@ -196,23 +250,39 @@ mod tests {
     /// the depth is the curve's mean.
     #[test]
     fn nothing_is_shown_beside_what_the_curve_shows() {
-        let curve = table(&[(0.0, [1.0; 3], 0.0), (0.041, [1.0; 3], 0.0), (0.042, [1.0; 3], 0.9), (1.0, [1.0; 3], 0.3)]);
+        let curve = table(&[
+            (0.0, [1.0; 3], 0.0),
+            (0.041, [1.0; 3], 0.0),
+            (0.042, [1.0; 3], 0.9),
+            (1.0, [1.0; 3], 0.3),
+        ]);
         let t = Preintegrated::new(&curve, 1.0);
         for (front, back) in [(0.04, 0.04), (0.0405, 0.038), (0.0, 0.0405)] {
             assert_eq!(t.lookup(front, back)[3], 0.0, "{front} {back}");
         }
         for (front, back) in [(0.2f32, 0.7f32), (0.9, 0.0), (0.05, 0.0501), (0.3, 0.3)] {
             let parts = 20_000;
-            let mean = (0..parts).map(|n| f64::from(curve.lookup(front + (back - front) * (n as f32 + 0.5) / parts as f32)[3])).sum::<f64>()
+            let mean = (0..parts)
+                .map(|n| f64::from(curve.lookup(front + (back - front) * (n as f32 + 0.5) / parts as f32)[3]))
+                .sum::<f64>()
                 / f64::from(parts);
-            assert!((f64::from(t.lookup(front, back)[3]) - mean).abs() < 2e-3 * mean.max(0.1), "{front} {back}: {mean}");
+            assert!(
+                (f64::from(t.lookup(front, back)[3]) - mean).abs() < 2e-3 * mean.max(0.1),
+                "{front} {back}: {mean}"
+            );
         }
     }
 
     /// A peak between two samples that are both transparent is visible.
     #[test]
     fn a_peak_between_samples_is_seen() {
-        let curve = table(&[(0.0, [1.0; 3], 0.0), (0.45, [1.0; 3], 0.0), (0.5, [1.0; 3], 0.9), (0.55, [1.0; 3], 0.0), (1.0, [1.0; 3], 0.0)]);
+        let curve = table(&[
+            (0.0, [1.0; 3], 0.0),
+            (0.45, [1.0; 3], 0.0),
+            (0.5, [1.0; 3], 0.9),
+            (0.55, [1.0; 3], 0.0),
+            (1.0, [1.0; 3], 0.0),
+        ]);
         assert!(curve.lookup(0.3)[3] == 0.0 && curve.lookup(0.7)[3] == 0.0);
         let t = Preintegrated::new(&curve, 1.0);
         assert!(t.lookup(0.3, 0.7)[3] > 0.1 && t.lookup(0.2, 0.4)[3] < 1e-6);

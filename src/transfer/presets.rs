@@ -61,14 +61,26 @@ const PRESETS: &[Preset] = &[
         "RGB voxels in their own colours; opacity from brightness, or from alpha if present",
         Absolute,
         Composite,
-        [(0.0, WHITE, 0.0), (0.06, WHITE, 0.0), (0.3, WHITE, 0.35), (0.7, WHITE, 0.8), (1.0, WHITE, 0.95)]
+        [
+            (0.0, WHITE, 0.0),
+            (0.06, WHITE, 0.0),
+            (0.3, WHITE, 0.35),
+            (0.7, WHITE, 0.8),
+            (1.0, WHITE, 0.95)
+        ]
     ),
     preset!(
         "ct-bone",
         "bone, opaque, marrow darker than cortex",
         Absolute,
         Composite,
-        [(150.0, BONE_DARK, 0.0), (220.0, BONE_DARK, 0.25), (450.0, BONE, 0.75), (1200.0, [252, 248, 238], 0.95), (3000.0, WHITE, 0.95)]
+        [
+            (150.0, BONE_DARK, 0.0),
+            (220.0, BONE_DARK, 0.25),
+            (450.0, BONE, 0.75),
+            (1200.0, [252, 248, 238], 0.95),
+            (3000.0, WHITE, 0.95)
+        ]
     ),
     preset!(
         "ct-bones-and-muscle",
@@ -89,7 +101,12 @@ const PRESETS: &[Preset] = &[
         "skin surface",
         Absolute,
         Composite,
-        [(-400.0, SKIN, 0.0), (-180.0, SKIN, 0.55), (60.0, [236, 196, 170], 0.9), (1500.0, BONE, 0.95)]
+        [
+            (-400.0, SKIN, 0.0),
+            (-180.0, SKIN, 0.55),
+            (60.0, [236, 196, 170], 0.9),
+            (1500.0, BONE, 0.95)
+        ]
     ),
     preset!(
         "ct-soft-tissue",
@@ -111,14 +128,25 @@ const PRESETS: &[Preset] = &[
         "muscle without fat",
         Absolute,
         Composite,
-        [(-10.0, MUSCLE, 0.0), (25.0, MUSCLE, 0.45), (70.0, [196, 88, 74], 0.75), (180.0, [220, 150, 120], 0.7), (350.0, BONE, 0.9)]
+        [
+            (-10.0, MUSCLE, 0.0),
+            (25.0, MUSCLE, 0.45),
+            (70.0, [196, 88, 74], 0.75),
+            (180.0, [220, 150, 120], 0.7),
+            (350.0, BONE, 0.9)
+        ]
     ),
     preset!(
         "ct-fat",
         "subcutaneous and visceral fat",
         Absolute,
         Composite,
-        [(-190.0, FAT, 0.0), (-120.0, FAT, 0.35), (-70.0, FAT, 0.35), (-30.0, FAT, 0.0)]
+        [
+            (-190.0, FAT, 0.0),
+            (-120.0, FAT, 0.35),
+            (-70.0, FAT, 0.35),
+            (-30.0, FAT, 0.0)
+        ]
     ),
     preset!(
         "ct-lung",
@@ -140,21 +168,37 @@ const PRESETS: &[Preset] = &[
         "tracheobronchial tree",
         Absolute,
         Composite,
-        [(-1000.0, [70, 190, 220], 0.0), (-960.0, [90, 200, 226], 0.12), (-900.0, [150, 220, 236], 0.10), (-820.0, [150, 220, 236], 0.0)]
+        [
+            (-1000.0, [70, 190, 220], 0.0),
+            (-960.0, [90, 200, 226], 0.12),
+            (-900.0, [150, 220, 236], 0.10),
+            (-820.0, [150, 220, 236], 0.0)
+        ]
     ),
     preset!(
         "ct-vessels",
         "contrast-enhanced vessels and bone",
         Absolute,
         Composite,
-        [(110.0, VESSEL, 0.0), (170.0, VESSEL, 0.35), (280.0, [224, 88, 60], 0.7), (420.0, BONE, 0.8), (1200.0, WHITE, 0.95)]
+        [
+            (110.0, VESSEL, 0.0),
+            (170.0, VESSEL, 0.35),
+            (280.0, [224, 88, 60], 0.7),
+            (420.0, BONE, 0.8),
+            (1200.0, WHITE, 0.95)
+        ]
     ),
     preset!(
         "ct-angio",
         "vessels without soft tissue",
         Absolute,
         Composite,
-        [(140.0, [150, 20, 24], 0.0), (220.0, VESSEL, 0.5), (340.0, [240, 150, 110], 0.75), (600.0, [250, 226, 196], 0.85)]
+        [
+            (140.0, [150, 20, 24], 0.0),
+            (220.0, VESSEL, 0.5),
+            (340.0, [240, 150, 110], 0.75),
+            (600.0, [250, 226, 196], 0.85)
+        ]
     ),
     preset!(
         "ct-aorta-stent",
@@ -175,24 +219,64 @@ const PRESETS: &[Preset] = &[
         "liver parenchyma in the portal venous phase",
         Absolute,
         Composite,
-        [(20.0, [140, 70, 56], 0.0), (70.0, [150, 74, 60], 0.25), (130.0, [196, 104, 80], 0.5), (220.0, [232, 170, 130], 0.6), (400.0, BONE, 0.8)]
+        [
+            (20.0, [140, 70, 56], 0.0),
+            (70.0, [150, 74, 60], 0.25),
+            (130.0, [196, 104, 80], 0.5),
+            (220.0, [232, 170, 130], 0.6),
+            (400.0, BONE, 0.8)
+        ]
     ),
-    preset!("ct-teeth", "enamel and dense bone", Absolute, Composite, [(900.0, BONE_DARK, 0.0), (1300.0, BONE, 0.6), (2000.0, WHITE, 0.95)]),
+    preset!(
+        "ct-teeth",
+        "enamel and dense bone",
+        Absolute,
+        Composite,
+        [
+            (900.0, BONE_DARK, 0.0),
+            (1300.0, BONE, 0.6),
+            (2000.0, WHITE, 0.95)
+        ]
+    ),
     preset!(
         "ct-metal",
         "implants, wires, clips",
         Absolute,
         Composite,
-        [(1600.0, [130, 150, 176], 0.0), (2200.0, [168, 190, 214], 0.8), (3000.0, [226, 236, 248], 0.98)]
+        [
+            (1600.0, [130, 150, 176], 0.0),
+            (2200.0, [168, 190, 214], 0.8),
+            (3000.0, [226, 236, 248], 0.98)
+        ]
     ),
-    preset!("ct-mip", "maximum intensity projection", Absolute, Mip, [(-100.0, BLACK, 0.0), (100.0, [64, 64, 64], 0.9), (800.0, WHITE, 1.0)]),
-    preset!("ct-minip", "minimum intensity projection, for airways", Absolute, Minip, [(-1000.0, BLACK, 1.0), (-400.0, WHITE, 1.0)]),
+    preset!(
+        "ct-mip",
+        "maximum intensity projection",
+        Absolute,
+        Mip,
+        [
+            (-100.0, BLACK, 0.0),
+            (100.0, [64, 64, 64], 0.9),
+            (800.0, WHITE, 1.0)
+        ]
+    ),
+    preset!(
+        "ct-minip",
+        "minimum intensity projection, for airways",
+        Absolute,
+        Minip,
+        [(-1000.0, BLACK, 1.0), (-400.0, WHITE, 1.0)]
+    ),
     preset!(
         "ct-xray",
         "average intensity projection, like a radiograph",
         Absolute,
         Average,
-        [(-900.0, BLACK, 0.0), (-300.0, [120, 120, 120], 0.8), (300.0, WHITE, 1.0)]
+        [
+            (-900.0, BLACK, 0.0),
+            (-300.0, [120, 120, 120], 0.8),
+            (300.0, WHITE, 1.0)
+        ]
     ),
     preset!(
         "mr-default",
@@ -213,7 +297,12 @@ const PRESETS: &[Preset] = &[
         "grey and white matter of a skull-stripped brain",
         Relative,
         Composite,
-        [(0.22, [150, 90, 82], 0.0), (0.36, [196, 138, 124], 0.5), (0.62, [222, 186, 168], 0.85), (0.85, [246, 236, 222], 0.95)]
+        [
+            (0.22, [150, 90, 82], 0.0),
+            (0.36, [196, 138, 124], 0.5),
+            (0.62, [222, 186, 168], 0.85),
+            (0.85, [246, 236, 222], 0.95)
+        ]
     ),
     preset!(
         "mr-t2-brain",
@@ -233,26 +322,60 @@ const PRESETS: &[Preset] = &[
         "bright-blood vessels (time-of-flight MRA)",
         Relative,
         Composite,
-        [(0.38, [140, 20, 20], 0.0), (0.55, VESSEL, 0.35), (0.8, [240, 130, 96], 0.8), (1.0, [255, 226, 200], 0.95)]
+        [
+            (0.38, [140, 20, 20], 0.0),
+            (0.55, VESSEL, 0.35),
+            (0.8, [240, 130, 96], 0.8),
+            (1.0, [255, 226, 200], 0.95)
+        ]
     ),
-    preset!("mr-skin", "skin surface of the head", Relative, Composite, [(0.06, SKIN, 0.0), (0.14, SKIN, 0.6), (0.3, [236, 196, 170], 0.95)]),
+    preset!(
+        "mr-skin",
+        "skin surface of the head",
+        Relative,
+        Composite,
+        [(0.06, SKIN, 0.0), (0.14, SKIN, 0.6), (0.3, [236, 196, 170], 0.95)]
+    ),
     preset!(
         "mr-translucent",
         "edges only: opacity by gradient",
         Relative,
         Composite,
-        [(0.08, [110, 130, 170], 0.0), (0.25, [180, 160, 150], 0.15), (0.6, [230, 210, 190], 0.3), (1.0, WHITE, 0.4)],
+        [
+            (0.08, [110, 130, 170], 0.0),
+            (0.25, [180, 160, 150], 0.15),
+            (0.6, [230, 210, 190], 0.3),
+            (1.0, WHITE, 0.4)
+        ],
         [(0.0, 0.0), (0.02, 0.05), (0.10, 1.0)]
     ),
-    preset!("mr-mip", "maximum intensity projection", Relative, Mip, [(0.05, BLACK, 0.0), (0.4, [90, 90, 90], 0.9), (1.0, WHITE, 1.0)]),
+    preset!(
+        "mr-mip",
+        "maximum intensity projection",
+        Relative,
+        Mip,
+        [(0.05, BLACK, 0.0), (0.4, [90, 90, 90], 0.9), (1.0, WHITE, 1.0)]
+    ),
     preset!(
         "pet-hot",
         "tracer uptake on a hot-metal colour scale",
         Relative,
         Composite,
-        [(0.12, BLACK, 0.0), (0.3, [120, 10, 0], 0.05), (0.55, [230, 90, 0], 0.25), (0.8, [255, 200, 40], 0.6), (1.0, WHITE, 0.9)]
+        [
+            (0.12, BLACK, 0.0),
+            (0.3, [120, 10, 0], 0.05),
+            (0.55, [230, 90, 0], 0.25),
+            (0.8, [255, 200, 40], 0.6),
+            (1.0, WHITE, 0.9)
+        ]
     ),
-    preset!("grey", "linear greyscale ramp", Relative, Composite, [(0.0, BLACK, 0.0), (0.5, [128, 128, 128], 0.25), (1.0, WHITE, 0.5)]),
+    preset!(
+        "grey",
+        "linear greyscale ramp",
+        Relative,
+        Composite,
+        [(0.0, BLACK, 0.0), (0.5, [128, 128, 128], 0.25), (1.0, WHITE, 0.5)]
+    ),
     preset!(
         "labels",
         "label map, coloured by fractions of its value range",
@@ -273,7 +396,12 @@ const PRESETS: &[Preset] = &[
         "the checker phantom's two values",
         Absolute,
         Composite,
-        [(0.0, [60, 92, 140], 0.97), (135.0, [60, 92, 140], 0.97), (165.0, [238, 222, 190], 0.97), (255.0, [238, 222, 190], 0.97)]
+        [
+            (0.0, [60, 92, 140], 0.97),
+            (135.0, [60, 92, 140], 0.97),
+            (165.0, [238, 222, 190], 0.97),
+            (255.0, [238, 222, 190], 0.97)
+        ]
     ),
     preset!(
         "octants",
@@ -353,7 +481,11 @@ const PRESETS: &[Preset] = &[
         "opacity rising with values from 0 to 1",
         Absolute,
         Composite,
-        [(0.25, [200, 170, 130], 0.0), (0.75, [226, 206, 172], 0.95), (1.0, [226, 206, 172], 0.95)]
+        [
+            (0.25, [200, 170, 130], 0.0),
+            (0.75, [226, 206, 172], 0.95),
+            (1.0, [226, 206, 172], 0.95)
+        ]
     ),
 ];
 
@@ -377,25 +509,46 @@ impl Preset {
             // Inverted DICOM images (MONOCHROME1) are bright where values are low.
             Scale::Relative if volume.inverted => {
                 let histogram = volume.histogram(1024);
-                [volume.range[1], histogram.percentile(0.002, true) - volume.range[1]]
+                [
+                    volume.range[1],
+                    histogram.percentile(0.002, true) - volume.range[1],
+                ]
             }
             Scale::Absolute => [0.0, 1.0],
             Scale::Relative if self.name == "labels" => [volume.range[0], volume.range[1] - volume.range[0]],
             Scale::Relative => {
                 let histogram = volume.histogram(1024);
-                [volume.range[0], histogram.percentile(0.998, true) - volume.range[0]]
+                [
+                    volume.range[0],
+                    histogram.percentile(0.998, true) - volume.range[0],
+                ]
             }
         };
         let mut points: Vec<ControlPoint> = self
             .points
             .iter()
-            .map(|&(value, color, opacity)| ControlPoint { value: low + value * span, color: color.map(|c| f32::from(c) / 255.0), opacity })
+            .map(|&(value, color, opacity)| ControlPoint {
+                value: low + value * span,
+                color: color.map(|c| f32::from(c) / 255.0),
+                opacity,
+            })
             .collect();
         if span < 0.0 {
             points.reverse();
         }
-        let gradient_opacity = self.gradient.iter().map(|&(m, factor)| GradientPoint { magnitude: m * span.abs(), factor }).collect();
-        TransferFunction { points, gradient_opacity, blend: self.blend }
+        let gradient_opacity = self
+            .gradient
+            .iter()
+            .map(|&(m, factor)| GradientPoint {
+                magnitude: m * span.abs(),
+                factor,
+            })
+            .collect();
+        TransferFunction {
+            points,
+            gradient_opacity,
+            blend: self.blend,
+        }
     }
 }
 

@@ -46,7 +46,11 @@ impl TransferTable {
     /// Bakes a function for values normalised over `range` (data units).
     pub fn new(function: &TransferFunction, range: [f64; 2]) -> Self {
         let [mut low, mut high] = function.domain();
-        let span = if range[1] > range[0] { range[1] - range[0] } else { 1.0 };
+        let span = if range[1] > range[0] {
+            range[1] - range[0]
+        } else {
+            1.0
+        };
         if high - low < 1e-6 * span {
             // A step function: the domain becomes one entry wide around it.
             let middle = (low + high) / 2.0;
@@ -58,11 +62,20 @@ impl TransferTable {
                 let value = low + (high - low) * n as f64 / (TABLE_ENTRIES - 1) as f64;
                 let above = p.partition_point(|q| q.value <= value);
                 let (a, b) = (&p[above.saturating_sub(1)], &p[above.min(p.len() - 1)]);
-                let t = if b.value > a.value { ((value - a.value) / (b.value - a.value)) as f32 } else { 0.0 };
+                let t = if b.value > a.value {
+                    ((value - a.value) / (b.value - a.value)) as f32
+                } else {
+                    0.0
+                };
                 let mix = |x: f32, y: f32| x + (y - x) * t;
                 let opacity = mix(a.opacity, b.opacity);
                 let depth = (-(1.0 - opacity).log2()).clamp(0.0, MAX_DEPTH);
-                [mix(a.color[0], b.color[0]), mix(a.color[1], b.color[1]), mix(a.color[2], b.color[2]), depth]
+                [
+                    mix(a.color[0], b.color[0]),
+                    mix(a.color[1], b.color[1]),
+                    mix(a.color[2], b.color[2]),
+                    depth,
+                ]
             })
             .collect();
         let g = &function.gradient_opacity;
@@ -75,7 +88,11 @@ impl TransferTable {
                     let m = top * n as f64 / (GRADIENT_ENTRIES - 1) as f64;
                     let above = g.partition_point(|q| q.magnitude <= m);
                     let (a, b) = (&g[above.saturating_sub(1)], &g[above.min(g.len() - 1)]);
-                    let t = if b.magnitude > a.magnitude { ((m - a.magnitude) / (b.magnitude - a.magnitude)).clamp(0.0, 1.0) as f32 } else { 0.0 };
+                    let t = if b.magnitude > a.magnitude {
+                        ((m - a.magnitude) / (b.magnitude - a.magnitude)).clamp(0.0, 1.0) as f32
+                    } else {
+                        0.0
+                    };
                     a.factor + (b.factor - a.factor) * t
                 })
                 .collect()
@@ -93,7 +110,9 @@ impl TransferTable {
         while 2 << (maxima.len() - 1) <= TABLE_ENTRIES {
             let half = 1 << (maxima.len() - 1);
             let last = &maxima[maxima.len() - 1];
-            let next = (0..last.len() - half).map(|i| last[i].max(last[i + half])).collect();
+            let next = (0..last.len() - half)
+                .map(|i| last[i].max(last[i + half]))
+                .collect();
             maxima.push(next);
         }
         Self {
@@ -116,7 +135,12 @@ impl TransferTable {
         let t = x - i as f32;
         let (a, b) = (&self.entries[i], &self.entries[i + 1]);
         // Written out rather than with `array::from_fn`, which may not be inlined here.
-        [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t, a[3] + (b[3] - a[3]) * t]
+        [
+            a[0] + (b[0] - a[0]) * t,
+            a[1] + (b[1] - a[1]) * t,
+            a[2] + (b[2] - a[2]) * t,
+            a[3] + (b[3] - a[3]) * t,
+        ]
     }
 
     /// Index of the table entry below each of eight values, and the interpolation weight towards
@@ -145,7 +169,12 @@ impl TransferTable {
             at += 2;
         }
         let [p, q, r, s] = pairs;
-        let (p, q, r, s) = (f32x4::load_array(simd, p), f32x4::load_array(simd, q), f32x4::load_array(simd, r), f32x4::load_array(simd, s));
+        let (p, q, r, s) = (
+            f32x4::load_array(simd, p),
+            f32x4::load_array(simd, q),
+            f32x4::load_array(simd, r),
+            f32x4::load_array(simd, s),
+        );
         let a = simd.combine_f32x4(simd.unzip_low_f32x4(p, q), simd.unzip_low_f32x4(r, s));
         let b = simd.combine_f32x4(simd.unzip_high_f32x4(p, q), simd.unzip_high_f32x4(r, s));
         (b - a).mul_add(t, a)
@@ -175,7 +204,11 @@ impl TransferTable {
     /// material lies.
     pub fn opacity_slope_sign(&self, value: f32) -> f32 {
         let step = SLOPE_STEP / self.scale;
-        if self.lookup(value + step)[3] < LEVEL * self.lookup(value - step)[3] { -1.0 } else { 1.0 }
+        if self.lookup(value + step)[3] < LEVEL * self.lookup(value - step)[3] {
+            -1.0
+        } else {
+            1.0
+        }
     }
 
     /// Factor on the optical depth at a gradient magnitude (normalised values per mm).
@@ -193,7 +226,10 @@ impl TransferTable {
     /// The first and last entry that normalised values in `[low, high]` interpolate.
     fn entries_over(&self, low: f32, high: f32) -> (usize, usize) {
         let entry = |v: f32| (v * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
-        let (a, b) = (entry(low.min(high)).floor() as usize, entry(high.max(low)).ceil() as usize);
+        let (a, b) = (
+            entry(low.min(high)).floor() as usize,
+            entry(high.max(low)).ceil() as usize,
+        );
         (a.min(b), b.min(TABLE_ENTRIES - 1))
     }
 
@@ -218,14 +254,34 @@ mod tests {
     use proptest::prelude::*;
 
     fn function(points: &[(f64, f32)]) -> TransferFunction {
-        let points = points.iter().map(|&(value, opacity)| ControlPoint { value, color: [0.2, 0.4, opacity], opacity }).collect();
-        TransferFunction { points, gradient_opacity: Vec::new(), blend: Blend::Composite }
+        let points = points
+            .iter()
+            .map(|&(value, opacity)| ControlPoint {
+                value,
+                color: [0.2, 0.4, opacity],
+                opacity,
+            })
+            .collect();
+        TransferFunction {
+            points,
+            gradient_opacity: Vec::new(),
+            blend: Blend::Composite,
+        }
     }
 
     #[test]
     fn opacity_comes_back_out() {
-        let t = TransferTable::new(&function(&[(-100.0, 0.0), (100.0, 0.8), (300.0, 0.1)]), [-1000.0, 3000.0]);
-        for (value, want) in [(-500.0, 0.0), (0.0, 0.4), (100.0, 0.8), (200.0, 0.45), (2000.0, 0.1)] {
+        let t = TransferTable::new(
+            &function(&[(-100.0, 0.0), (100.0, 0.8), (300.0, 0.1)]),
+            [-1000.0, 3000.0],
+        );
+        for (value, want) in [
+            (-500.0, 0.0),
+            (0.0, 0.4),
+            (100.0, 0.8),
+            (200.0, 0.45),
+            (2000.0, 0.1),
+        ] {
             let [r, _, b, depth] = t.lookup((value + 1000.0) / 4000.0);
             assert!((1.0 - (-depth).exp2() - want).abs() < 2e-3, "{value}: {depth}");
             assert!((b - want).abs() < 2e-3 && r == 0.2);
@@ -237,7 +293,10 @@ mod tests {
         let t = TransferTable::new(&function(&[(5.0, 0.0), (5.0, 1.0)]), [0.0, 10.0]);
         assert_eq!(t.lookup(0.49)[3], 0.0);
         assert_eq!(t.lookup(0.51)[3], MAX_DEPTH);
-        assert_eq!(TransferTable::new(&function(&[(5.0, 0.5)]), [0.0, 10.0]).lookup(0.1)[3], 1.0);
+        assert_eq!(
+            TransferTable::new(&function(&[(5.0, 0.5)]), [0.0, 10.0]).lookup(0.1)[3],
+            1.0
+        );
     }
 
     proptest! {

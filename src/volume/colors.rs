@@ -64,18 +64,28 @@ impl Colors {
     /// The colours of labels 1 to `highest`: the stated ones, else one that differs from those of
     /// neighbouring labels. Stated colours are used only for the first 65,536 labels.
     pub fn of_labels(labels: Voxels, highest: usize, stated: &[Label]) -> Self {
-        let mut table: Vec<[u8; 4]> = (0..=highest.min(MAX_TABLE - 1)).map(|n| if n == 0 { [0; 4] } else { label_color(n) }).collect();
+        let mut table: Vec<[u8; 4]> = (0..=highest.min(MAX_TABLE - 1))
+            .map(|n| if n == 0 { [0; 4] } else { label_color(n) })
+            .collect();
         for label in stated {
-            if let (Some([r, g, b]), Some(entry)) = (label.color, table.get_mut(label.value as usize).filter(|_| label.value > 0)) {
+            if let (Some([r, g, b]), Some(entry)) = (
+                label.color,
+                table.get_mut(label.value as usize).filter(|_| label.value > 0),
+            ) {
                 *entry = [r, g, b, 255];
             }
         }
-        Self::Labels { labels, table: Arc::new(table) }
+        Self::Labels {
+            labels,
+            table: Arc::new(table),
+        }
     }
 
     /// The colour of a label; none without a table, or if the table does not contain it.
     pub fn of_label(&self, label: u32) -> Option<[u8; 3]> {
-        let Self::Labels { table, .. } = self else { return None };
+        let Self::Labels { table, .. } = self else {
+            return None;
+        };
         let [r, g, b, a] = color_in(table, label as usize);
         (a > 0).then_some([r, g, b])
     }
@@ -94,7 +104,11 @@ impl Colors {
             Self::Rgba(v) => [v[4 * index], v[4 * index + 1], v[4 * index + 2], v[4 * index + 3]],
             Self::Labels { labels, table } => {
                 let label = labels.get(index);
-                if label >= 1.0 { color_in(table, label as usize) } else { [0; 4] }
+                if label >= 1.0 {
+                    color_in(table, label as usize)
+                } else {
+                    [0; 4]
+                }
             }
         }
     }
@@ -119,13 +133,18 @@ impl Colors {
     /// The colour at a position in voxels, trilinear, clamped to the outermost voxel centres.
     pub fn sample(&self, size: [usize; 3], point_in_voxel: Vec3) -> Vec3 {
         let [nx, ny, nz] = size;
-        let p = point_in_voxel.clamp(Vec3::ZERO, Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32));
+        let p = point_in_voxel.clamp(
+            Vec3::ZERO,
+            Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32),
+        );
         let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
         let f = p - Vec3::new(i as f32, j as f32, k as f32);
         let mut sum = Vec4::ZERO;
         for corner in 0..8usize {
             let (a, b, c) = (corner & 1, corner >> 1 & 1, corner >> 2);
-            let weight = if a == 1 { f.x } else { 1.0 - f.x } * if b == 1 { f.y } else { 1.0 - f.y } * if c == 1 { f.z } else { 1.0 - f.z };
+            let weight = if a == 1 { f.x } else { 1.0 - f.x }
+                * if b == 1 { f.y } else { 1.0 - f.y }
+                * if c == 1 { f.z } else { 1.0 - f.z };
             if weight > 0.0 {
                 let index = ((k + c).min(nz - 1) * ny + (j + b).min(ny - 1)) * nx + (i + a).min(nx - 1);
                 sum += self.texel(index) * weight;
@@ -138,9 +157,14 @@ impl Colors {
 /// Flat indices of the voxels in a block of a grid.
 fn block(size: [usize; 3], factors: [usize; 3], index: usize) -> impl Iterator<Item = usize> {
     let blocks: [usize; 3] = std::array::from_fn(|a| size[a].div_ceil(factors[a]));
-    let at = [index % blocks[0], index / blocks[0] % blocks[1], index / blocks[0] / blocks[1]];
+    let at = [
+        index % blocks[0],
+        index / blocks[0] % blocks[1],
+        index / blocks[0] / blocks[1],
+    ];
     let range = move |a: usize| at[a] * factors[a]..((at[a] + 1) * factors[a]).min(size[a]);
-    range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
+    range(2)
+        .flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| (k * size[1] + j) * size[0] + i)))
 }
 
 /// The colour of a premultiplied one.
@@ -151,13 +175,17 @@ pub fn straight(premultiplied: Vec4) -> Vec3 {
 /// Values and colours of interleaved RGB or RGBA. The value is the opacity if there is any; else
 /// the luminance (Rec. 709).
 pub fn of_interleaved(mut rgb: Vec<u8>, components: usize) -> (StoredValues, Colors) {
-    let luminance = |v: &[u8]| ((54 * u32::from(v[0]) + 183 * u32::from(v[1]) + 19 * u32::from(v[2])) >> 8) as u8;
+    let luminance =
+        |v: &[u8]| ((54 * u32::from(v[0]) + 183 * u32::from(v[1]) + 19 * u32::from(v[2])) >> 8) as u8;
     if components == 3 {
         let values: Vec<u8> = rgb.par_chunks_exact(3).map(luminance).collect();
         return (values.into(), Colors::rgb(rgb));
     }
     let opaque = rgb.par_chunks_exact(4).all(|v| v[3] == 255);
-    let values: Vec<u8> = rgb.par_chunks_exact(4).map(|v| if opaque { luminance(v) } else { v[3] }).collect();
+    let values: Vec<u8> = rgb
+        .par_chunks_exact(4)
+        .map(|v| if opaque { luminance(v) } else { v[3] })
+        .collect();
     rgb.par_chunks_exact_mut(4).for_each(|v| {
         for c in 0..3 {
             v[c] = ((u16::from(v[c]) * u16::from(v[3]) + 127) / 255) as u8;
@@ -181,7 +209,11 @@ fn label_color(label: usize) -> [u8; 4] {
     // Beyond the table's end single precision would lose too many digits.
     let label = label % (MAX_TABLE - 1);
     let hue = (label as f32 * HUE_STEP).fract() * 6.0;
-    let (saturation, value) = if label.is_multiple_of(2) { (0.5, 0.92) } else { (0.68, 0.82) };
+    let (saturation, value) = if label.is_multiple_of(2) {
+        (0.5, 0.92)
+    } else {
+        (0.68, 0.82)
+    };
     let channel = |shift: f32| {
         let k = (shift + hue) % 6.0;
         let v = value - value * saturation * k.min(4.0 - k).clamp(0.0, 1.0);
@@ -207,7 +239,11 @@ mod tests {
 
     #[test]
     fn nothing_lends_no_colour() {
-        let stated = [Label { value: 1, name: String::new(), color: Some([200, 100, 50]) }];
+        let stated = [Label {
+            value: 1,
+            name: String::new(),
+            color: Some([200, 100, 50]),
+        }];
         let colors = Colors::of_labels(Voxels::new([2, 1, 1], vec![0u8, 1]), 1, &stated);
         let half = colors.sample([2, 1, 1], Vec3::new(0.5, 0.0, 0.0));
         assert!((half - Vec3::new(200.0, 100.0, 50.0) / 255.0).abs().max_element() < 1e-6);

@@ -47,14 +47,20 @@ impl GradientVolume {
     /// signed 16 bits or whose range needs more than 15, and where more than 1 GiB or a quarter of
     /// the free memory would be needed.
     pub fn new(grid: &VoxelGrid) -> Option<Self> {
-        let bytes = grid.size.iter().product::<usize>().saturating_mul(size_of::<[i16; 4]>());
+        let bytes = grid
+            .size
+            .iter()
+            .product::<usize>()
+            .saturating_mul(size_of::<[i16; 4]>());
         if bytes > available_bytes().map_or(MAX_BYTES, |free| MAX_BYTES.min(free as usize / OF_FREE_MEMORY)) {
             return None;
         }
         match &grid.voxels {
             VoxelGridValues::U8(v) => Self::of(v),
             VoxelGridValues::U16(v) => (span(flat(v))?.1 <= i16::MAX as u16).then(|| Self::of(v))?,
-            VoxelGridValues::I16(v) => span(flat(v)).is_some_and(|(low, high)| high.checked_sub(low).is_some()).then(|| Self::of(v))?,
+            VoxelGridValues::I16(v) => span(flat(v))
+                .is_some_and(|(low, high)| high.checked_sub(low).is_some())
+                .then(|| Self::of(v))?,
             VoxelGridValues::F32(_) => None,
         }
     }
@@ -68,7 +74,14 @@ impl GradientVolume {
             let of = |j: usize, k: usize| &voxels[(k * ny + j) * nx..][..nx];
             let (own, below, above) = (of(j, k), of(j.saturating_sub(1), k), of((j + 1).min(ny - 1), k));
             let (front, behind) = (of(j, k.saturating_sub(1)), of(j, (k + 1).min(nz - 1)));
-            with_simd(GradientRow { own, below, above, front, behind, out });
+            with_simd(GradientRow {
+                own,
+                below,
+                above,
+                front,
+                behind,
+                out,
+            });
         });
         Some(Self { texels })
     }
@@ -115,28 +128,59 @@ impl<T: FitsI16> SimdKernel for GradientRow<'_, T> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { own, below, above, front, behind, out } = self;
+        let Self {
+            own,
+            below,
+            above,
+            front,
+            behind,
+            out,
+        } = self;
         let last = own.len() - 1;
         let mut i = 0;
         while i <= last {
             // Eight voxels with a neighbour on each side.
             if i > 0 && i + LANES <= last {
                 let before_and_after = &own[i - 1..][..LANES + 2];
-                let (a, before, after) = (eight(simd, &before_and_after[1..]), eight(simd, before_and_after), eight(simd, &before_and_after[2..]));
-                let (b, c) = (after - before, eight(simd, &above[i..]) - eight(simd, &below[i..]));
+                let (a, before, after) = (
+                    eight(simd, &before_and_after[1..]),
+                    eight(simd, before_and_after),
+                    eight(simd, &before_and_after[2..]),
+                );
+                let (b, c) = (
+                    after - before,
+                    eight(simd, &above[i..]) - eight(simd, &below[i..]),
+                );
                 let d = eight(simd, &behind[i..]) - eight(simd, &front[i..]);
                 let low = [words(simd.zip_low_i16x8(a, b)), words(simd.zip_low_i16x8(c, d))];
                 let high = [words(simd.zip_high_i16x8(a, b)), words(simd.zip_high_i16x8(c, d))];
-                let [p, q] = [simd.zip_low_i32x4(low[0], low[1]), simd.zip_high_i32x4(low[0], low[1])];
-                let [r, s] = [simd.zip_low_i32x4(high[0], high[1]), simd.zip_high_i32x4(high[0], high[1])];
-                for (to, two) in out[i..i + LANES].as_flattened_mut().as_chunks_mut().0.iter_mut().zip([p, q, r, s]) {
+                let [p, q] = [
+                    simd.zip_low_i32x4(low[0], low[1]),
+                    simd.zip_high_i32x4(low[0], low[1]),
+                ];
+                let [r, s] = [
+                    simd.zip_low_i32x4(high[0], high[1]),
+                    simd.zip_high_i32x4(high[0], high[1]),
+                ];
+                for (to, two) in out[i..i + LANES]
+                    .as_flattened_mut()
+                    .as_chunks_mut()
+                    .0
+                    .iter_mut()
+                    .zip([p, q, r, s])
+                {
                     *to = two.bitcast::<i16x8<S>>().to_array();
                 }
                 i += LANES;
                 continue;
             }
             let across = own[(i + 1).min(last)].short() - own[i.saturating_sub(1)].short();
-            out[i] = [own[i].short(), across, above[i].short() - below[i].short(), behind[i].short() - front[i].short()];
+            out[i] = [
+                own[i].short(),
+                across,
+                above[i].short() - below[i].short(),
+                behind[i].short() - front[i].short(),
+            ];
             i += 1;
         }
     }
@@ -161,7 +205,10 @@ fn words<S: Simd>(shorts: i16x8<S>) -> i32x4<S> {
 fn span<T: Copy + Ord + Send + Sync>(voxels: &[T]) -> Option<(T, T)> {
     voxels
         .par_chunks(1 << 16)
-        .map(|part| part.iter().fold((part[0], part[0]), |(low, high), &x| (low.min(x), high.max(x))))
+        .map(|part| {
+            part.iter()
+                .fold((part[0], part[0]), |(low, high), &x| (low.min(x), high.max(x)))
+        })
         .reduce_with(|a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
@@ -176,10 +223,14 @@ mod tests {
 
     #[test]
     fn both_filters_are_exact_on_a_linear_field() {
-        let voxels: Vec<f32> = (0..125).map(|n| (n % 5) as f32 * 2.0 + (n / 5 % 5) as f32 - 3.0 * (n / 25) as f32).collect();
+        let voxels: Vec<f32> = (0..125)
+            .map(|n| (n % 5) as f32 * 2.0 + (n / 5 % 5) as f32 - 3.0 * (n / 25) as f32)
+            .collect();
         let volume = Volume::new(Voxels::new([5; 3], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let VoxelGridValues::F32(v) = &grid.voxels else {
+            panic!()
+        };
         let s = VolumeSampler::new(&grid, v);
         let want = Vec3::new(2.0, 1.0, -3.0) / 24.0;
         for filter in [GradientFilter::Central, GradientFilter::Sobel] {
@@ -215,35 +266,74 @@ mod tests {
             let with = VolumeSampler::new(grid, voxels).with_gradients(gradients.as_ref());
             let size = grid.size;
             for (n, voxel) in voxels.iter().enumerate() {
-                let at = Vec3::new((n % size[0]) as f32, (n / size[0] % size[1]) as f32, (n / (size[0] * size[1])) as f32);
+                let at = Vec3::new(
+                    (n % size[0]) as f32,
+                    (n / size[0] % size[1]) as f32,
+                    (n / (size[0] * size[1])) as f32,
+                );
                 if let Some(gradients) = &gradients {
                     let [value, d @ ..] = gradients.texels[n].map(f32::from);
                     assert_eq!(value, voxel.to_f32(), "{note} {size:?} {n}");
-                    let (got, want) = (Vec3::from(d) * 0.5 * grid.scale, s.gradient(at, GradientFilter::Central));
-                    assert!(got.abs_diff_eq(want, 1e-6), "{note} {size:?} {n}: {got} for {want}");
+                    let (got, want) = (
+                        Vec3::from(d) * 0.5 * grid.scale,
+                        s.gradient(at, GradientFilter::Central),
+                    );
+                    assert!(
+                        got.abs_diff_eq(want, 1e-6),
+                        "{note} {size:?} {n}: {got} for {want}"
+                    );
                 }
-                let points = std::array::from_fn(|lane| at + Vec3::new(0.31, -0.47, 0.83) * (lane as f32 - 3.0) * 0.7);
+                let points =
+                    std::array::from_fn(|lane| at + Vec3::new(0.31, -0.47, 0.83) * (lane as f32 - 3.0) * 0.7);
                 let (values, gradients) = with_simd(GradientKernel(&s, points));
-                assert_eq!(with_simd(GradientKernel(&with, points)), (values, gradients), "{note} {size:?} {n}");
+                assert_eq!(
+                    with_simd(GradientKernel(&with, points)),
+                    (values, gradients),
+                    "{note} {size:?} {n}"
+                );
                 for (lane, p) in points.into_iter().enumerate() {
                     let (want, got) = (s.gradient(p, GradientFilter::Central), gradients[lane]);
-                    assert!((values[lane] - s.sample(p)).abs() < 2e-6 && got.abs_diff_eq(want, 4e-6), "{note} {size:?} {p}: {got} for {want}");
+                    assert!(
+                        (values[lane] - s.sample(p)).abs() < 2e-6 && got.abs_diff_eq(want, 4e-6),
+                        "{note} {size:?} {p}: {got} for {want}"
+                    );
                 }
             }
         }
         fn shaped<T: Clone>([i, j, k]: [usize; 3], values: Vec<T>) -> ArcArray3<T> {
             Array3::from_shape_vec((k, j, i), values).unwrap().into_shared()
         }
-        for size in [[5, 4, 6], [1, 4, 3], [2, 2, 2], [7, 1, 1], [4, 9, 4], [10, 2, 3], [27, 3, 2]] {
-            let hashes: Vec<usize> = (0..size.iter().product::<usize>()).map(|n| n * n * 7919 % 32_749).collect();
-            let grid = |voxels: crate::volume::Voxels| VoxelGrid::new(&Volume::new(voxels, Rescale::NONE, DAffine3::IDENTITY));
+        for size in [
+            [5, 4, 6],
+            [1, 4, 3],
+            [2, 2, 2],
+            [7, 1, 1],
+            [4, 9, 4],
+            [10, 2, 3],
+            [27, 3, 2],
+        ] {
+            let hashes: Vec<usize> = (0..size.iter().product::<usize>())
+                .map(|n| n * n * 7919 % 32_749)
+                .collect();
+            let grid = |voxels: crate::volume::Voxels| {
+                VoxelGrid::new(&Volume::new(voxels, Rescale::NONE, DAffine3::IDENTITY))
+            };
             let u8s = shaped(size, hashes.iter().map(|h| *h as u8).collect::<Vec<u8>>());
             check(&grid(u8s.clone().into()), &u8s, "u8");
             let u16s = shaped(size, hashes.iter().map(|h| *h as u16).collect::<Vec<u16>>());
             check(&grid(u16s.clone().into()), &u16s, "u16");
-            let i16s = shaped(size, hashes.iter().map(|h| (*h as i32 - 20_000) as i16).collect::<Vec<i16>>());
+            let i16s = shaped(
+                size,
+                hashes
+                    .iter()
+                    .map(|h| (*h as i32 - 20_000) as i16)
+                    .collect::<Vec<i16>>(),
+            );
             check(&grid(i16s.clone().into()), &i16s, "i16");
-            let f32s = shaped(size, hashes.iter().map(|h| *h as f32 * 0.37).collect::<Vec<f32>>());
+            let f32s = shaped(
+                size,
+                hashes.iter().map(|h| *h as f32 * 0.37).collect::<Vec<f32>>(),
+            );
             check(&grid(f32s.clone().into()), &f32s, "none");
             let mut wide: Vec<u16> = hashes.iter().map(|h| 2 * *h as u16).collect();
             (wide[0], wide[1]) = (0, 32_768);

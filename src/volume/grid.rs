@@ -50,7 +50,12 @@ pub trait Voxel: Copy + Send + Sync + 'static {
 
     /// The rows of eight cells, given by their lowest corners, in the order of
     /// [`mix_rows`](crate::math::cells::mix_rows).
-    fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4];
+    fn cells<S: Simd>(
+        simd: S,
+        voxels: &[Self],
+        base: &[usize; LANES],
+        strides: Strides,
+    ) -> [[f32x8<S>; 2]; 4];
 
     /// The rows of and around eight cells, given by their lowest corners; every cell must have a
     /// voxel on every side.
@@ -77,10 +82,17 @@ impl VoxelGrid {
         let span = if high > low { high - low } else { 1.0 };
         let normalise = |stored: f64| {
             let present = stored.is_finite() && !volume.is_padding(stored);
-            if present { ((stored * slope + intercept - low) / span) as f32 } else { HOLE }
+            if present {
+                ((stored * slope + intercept - low) / span) as f32
+            } else {
+                HOLE
+            }
         };
         // Padding well below every value acts as a hole unchanged; any other is converted to one.
-        let padding_below = volume.padding.is_some_and(|p| p.iter().all(|stored| stored * slope + intercept < low - PADDING_BELOW * span));
+        let padding_below = volume.padding.is_some_and(|p| {
+            p.iter()
+                .all(|stored| stored * slope + intercept < low - PADDING_BELOW * span)
+        });
         let has_holes = volume.non_finite > 0 || volume.padded > 0;
         let colors = volume.colors.clone();
         let direct = |voxels| {
@@ -88,7 +100,14 @@ impl VoxelGrid {
             // An f32 volume of extreme magnitude has no usable single-precision scale: it is
             // normalised like an f64 volume.
             let has_holes = padding_below;
-            (scale.is_normal() && offset.abs() < 1e6).then(|| Self { voxels, size: volume.size, scale, offset, has_holes, colors: colors.clone() })
+            (scale.is_normal() && offset.abs() < 1e6).then(|| Self {
+                voxels,
+                size: volume.size,
+                scale,
+                offset,
+                has_holes,
+                colors: colors.clone(),
+            })
         };
         let shared = match &volume.voxels {
             _ if volume.padded > 0 && !padding_below => None,
@@ -114,7 +133,11 @@ impl VoxelGrid {
     /// numbered in between. None if the volume is not a label map.
     pub fn of_labels(volume: &Volume) -> Option<Self> {
         volume.labels()?;
-        let colors = Colors::of_labels(volume.voxels.clone(), volume.range[1] as usize, &volume.label_table);
+        let colors = Colors::of_labels(
+            volume.voxels.clone(),
+            volume.range[1] as usize,
+            &volume.label_table,
+        );
         let occupied = volume.voxels.map(|label| u8::from(label >= 1.0));
         Some(Self {
             voxels: VoxelGridValues::U8(occupied.into_shared()),
@@ -133,11 +156,24 @@ impl VoxelGrid {
         let hole = |v: f32| v * self.scale + self.offset <= 0.5 * HOLE;
         let voxels = match &self.voxels {
             VoxelGridValues::U8(v) => VoxelGridValues::U8(means(v, factors, |_| false, |m| m.round() as u8)),
-            VoxelGridValues::U16(v) => VoxelGridValues::U16(means(v, factors, |_| false, |m| m.round() as u16)),
-            VoxelGridValues::I16(v) => VoxelGridValues::I16(means(v, factors, |_| false, |m| m.round() as i16)),
-            VoxelGridValues::F32(v) => VoxelGridValues::F32(means(v, factors, hole, |m| if m.is_nan() { HOLE } else { m })),
+            VoxelGridValues::U16(v) => {
+                VoxelGridValues::U16(means(v, factors, |_| false, |m| m.round() as u16))
+            }
+            VoxelGridValues::I16(v) => {
+                VoxelGridValues::I16(means(v, factors, |_| false, |m| m.round() as i16))
+            }
+            VoxelGridValues::F32(v) => {
+                VoxelGridValues::F32(means(v, factors, hole, |m| if m.is_nan() { HOLE } else { m }))
+            }
         };
-        Self { voxels, size, scale: self.scale, offset: self.offset, has_holes: self.has_holes, colors: None }
+        Self {
+            voxels,
+            size,
+            scale: self.scale,
+            offset: self.offset,
+            has_holes: self.has_holes,
+            colors: None,
+        }
     }
 
     /// Normalised value at a voxel.
@@ -160,7 +196,11 @@ fn means<T: Voxel, U: Clone + Default + Send>(
     finish: impl Fn(f32) -> U + Sync,
 ) -> ArcArray3<U> {
     let (nk, nj, ni) = v.dim();
-    let mut out = Array3::default((nk.div_ceil(factors[2]), nj.div_ceil(factors[1]), ni.div_ceil(factors[0])));
+    let mut out = Array3::default((
+        nk.div_ceil(factors[2]),
+        nj.div_ceil(factors[1]),
+        ni.div_ceil(factors[0]),
+    ));
     let range = |at: usize, factor: usize, n: usize| at * factor..((at + 1) * factor).min(n);
     Zip::indexed(&mut out).par_for_each(|(k, j, i), to| {
         let layers = v.slice_axis(Axis(0), range(k, factors[2], nk).into());
@@ -182,7 +222,10 @@ mod tests {
     #[test]
     fn every_type_normalises_alike() {
         let values = [3u8, 7, 11, 19, 23, 31, 43, 47];
-        let rescale = Rescale { slope: 0.5, intercept: -2.0 };
+        let rescale = Rescale {
+            slope: 0.5,
+            intercept: -2.0,
+        };
         let volumes: Vec<StoredValues> = vec![
             values.to_vec().into(),
             values.map(|v| v as i8).to_vec().into(),
@@ -197,7 +240,11 @@ mod tests {
         ];
         for values_of_type in volumes {
             let name = values_of_type.type_name();
-            let grid = VoxelGrid::new(&Volume::new(Voxels::new([2; 3], values_of_type), rescale, DAffine3::IDENTITY));
+            let grid = VoxelGrid::new(&Volume::new(
+                Voxels::new([2; 3], values_of_type),
+                rescale,
+                DAffine3::IDENTITY,
+            ));
             for (n, v) in values.iter().enumerate() {
                 let got = grid.value(n % 2, n / 2 % 2, n / 4);
                 let want = (f32::from(*v) - 3.0) / 44.0;
@@ -209,9 +256,17 @@ mod tests {
     #[test]
     fn blocks_are_averaged() {
         let voxels: Vec<f32> = vec![1.0, 3.0, 5.0, f32::NAN, 7.0, f32::NAN];
-        let grid = VoxelGrid::new(&Volume::new(Voxels::new([3, 2, 1], voxels), Rescale::NONE, DAffine3::IDENTITY)).reduced([2, 2, 1]);
+        let grid = VoxelGrid::new(&Volume::new(
+            Voxels::new([3, 2, 1], voxels),
+            Rescale::NONE,
+            DAffine3::IDENTITY,
+        ))
+        .reduced([2, 2, 1]);
         assert_eq!(grid.size, [2, 1, 1]);
         // The means of 1, 3, 7 and of 5 alone, normalised over 1 to 7.
-        assert!((grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6 && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6);
+        assert!(
+            (grid.value(0, 0, 0) - (11.0 / 3.0 - 1.0) / 6.0).abs() < 1e-6
+                && (grid.value(1, 0, 0) - 4.0 / 6.0).abs() < 1e-6
+        );
     }
 }

@@ -56,19 +56,42 @@ impl Volume {
         let value = move |stored: f64| stored * slope + intercept;
         let padding = self.padding;
         let is_padding = |stored: f64| padding.is_some_and(|[low, high]| (low..=high).contains(&stored));
-        let misfits =
-            self.voxels.fold(Misfits::default, |found, stored| if is_padding(stored) { found } else { found.note(value(stored)) }, Misfits::and);
+        let misfits = self.voxels.fold(
+            Misfits::default,
+            |found, stored| {
+                if is_padding(stored) {
+                    found
+                } else {
+                    found.note(value(stored))
+                }
+            },
+            Misfits::and,
+        );
         if let Some(v) = misfits.fraction {
-            return Err(format!("is not a label map: it contains the value {v}, but labels are whole numbers"));
+            return Err(format!(
+                "is not a label map: it contains the value {v}, but labels are whole numbers"
+            ));
         }
         if let Some(v) = misfits.out_of_range {
-            return Err(format!("is not a label map: it contains the value {v}, but labels are whole numbers from 0 to {}", u32::MAX));
+            return Err(format!(
+                "is not a label map: it contains the value {v}, but labels are whole numbers from 0 to {}",
+                u32::MAX
+            ));
         }
         if misfits.not_finite > 0 {
-            self.warnings.push(format!("{} voxels are not finite numbers; they are treated as unlabelled", misfits.not_finite));
+            self.warnings.push(format!(
+                "{} voxels are not finite numbers; they are treated as unlabelled",
+                misfits.not_finite
+            ));
         }
         if !self.voxels.is_integer() || self.rescale != Rescale::NONE || padding.is_some() {
-            let label = |stored: f64| if is_padding(stored) || !stored.is_finite() { 0.0 } else { value(stored).round() };
+            let label = |stored: f64| {
+                if is_padding(stored) || !stored.is_finite() {
+                    0.0
+                } else {
+                    value(stored).round()
+                }
+            };
             let labels: Voxels = match self.range[1] {
                 v if v <= 255.0 => self.voxels.map(|s| label(s) as u8).into(),
                 v if v <= 65_535.0 => self.voxels.map(|s| label(s) as u16).into(),
@@ -76,7 +99,14 @@ impl Volume {
             };
             let plain = Self::new(labels, Rescale::NONE, self.world_from_voxel);
             let (voxels, range) = (plain.voxels, plain.range);
-            (self.voxels, self.range, self.rescale, self.padding, self.padded, self.non_finite) = (voxels, range, Rescale::NONE, None, 0, 0);
+            (
+                self.voxels,
+                self.range,
+                self.rescale,
+                self.padding,
+                self.padded,
+                self.non_finite,
+            ) = (voxels, range, Rescale::NONE, None, 0, 0);
         }
         self.declared_labels = true;
         self.statistics = super::VolumeStatistics::default();
@@ -92,7 +122,10 @@ impl Volume {
     }
 
     fn count_labels(&self) -> Option<usize> {
-        let whole = self.colors.is_none() && self.padding.is_none() && self.rescale == Rescale::NONE && self.voxels.is_integer();
+        let whole = self.colors.is_none()
+            && self.padding.is_none()
+            && self.rescale == Rescale::NONE
+            && self.voxels.is_integer();
         if !whole || self.range[0] < 0.0 || self.range[1] > f64::from(u32::MAX) {
             return None;
         }
@@ -103,7 +136,8 @@ impl Volume {
             return None;
         }
         let [inside, like_neighbour] = self.inside_and_like_their_neighbour();
-        let piecewise_constant = inside > 0 && like_neighbour as f64 >= 0.75 * inside as f64 && self.flat_share() >= 0.9;
+        let piecewise_constant =
+            inside > 0 && like_neighbour as f64 >= 0.75 * inside as f64 && self.flat_share() >= 0.9;
         if !piecewise_constant {
             return None;
         }
@@ -140,7 +174,8 @@ impl Volume {
             }
             [inside, like]
         };
-        self.voxels.fold_rows([0; 2], of_row, |a, b| [a[0] + b[0], a[1] + b[1]])
+        self.voxels
+            .fold_rows([0; 2], of_row, |a, b| [a[0] + b[0], a[1] + b[1]])
     }
 
     /// Fraction of voxels that equal their successor along i.
@@ -177,8 +212,18 @@ mod tests {
         assert_eq!(large.map(|v| v.labels()), Ok(Some(2)));
         let floats = volume(vec![0.0f32, 300.0, f32::NAN, 300.0].into(), Rescale::NONE).into_label_map();
         let floats = floats.unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!((floats.labels(), floats.voxels.type_name(), floats.warnings.len()), (Some(1), "u16", 1));
-        let scaled = volume(vec![0i16, 10, 20].into(), Rescale { slope: 0.1, intercept: 0.0 }).into_label_map();
+        assert_eq!(
+            (floats.labels(), floats.voxels.type_name(), floats.warnings.len()),
+            (Some(1), "u16", 1)
+        );
+        let scaled = volume(
+            vec![0i16, 10, 20].into(),
+            Rescale {
+                slope: 0.1,
+                intercept: 0.0,
+            },
+        )
+        .into_label_map();
         assert_eq!(scaled.map(|v| (v.labels(), v.range)), Ok((Some(2), [0.0, 2.0])));
     }
 

@@ -33,7 +33,8 @@ impl<T: Voxel> VolumeSampler<'_, T> {
             return f32x8::load_array(simd, values);
         }
         let Cells { base, f } = Cells::of(p, self.size, 0);
-        mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f).mul_add(self.scale, self.offset)
+        mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f)
+            .mul_add(self.scale, self.offset)
     }
 
     /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored
@@ -70,9 +71,20 @@ impl<T: Voxel> VolumeSampler<'_, T> {
     /// Gradients of the normalised value per voxel along i, j, k at eight positions in voxels; only
     /// those in `lanes` (a bit each) are needed.
     #[inline(always)]
-    pub fn gradient_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>, filter: GradientFilter, lanes: u64) -> Vec3x8<S> {
+    pub fn gradient_lanes<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3x8<S>,
+        filter: GradientFilter,
+        lanes: u64,
+    ) -> Vec3x8<S> {
         if filter == GradientFilter::Central && self.is_at_least(4) {
-            return self.gradient_of(simd, p, self.differences_between(simd, &Cells::of(p, self.size, 1)), lanes);
+            return self.gradient_of(
+                simd,
+                p,
+                self.differences_between(simd, &Cells::of(p, self.size, 1)),
+                lanes,
+            );
         }
         let mut all = Vec3x8::splat(simd, glam::Vec3::ZERO);
         for n in lanes_of(lanes) {
@@ -84,10 +96,20 @@ impl<T: Voxel> VolumeSampler<'_, T> {
     /// Gradients by central differences, as [`Self::gradient_lanes`], from the result of
     /// [`Self::sample_with_differences`].
     #[inline(always)]
-    pub fn gradient_of<S: Simd>(&self, simd: S, p: Vec3x8<S>, differences: Vec3x8<S>, lanes: u64) -> Vec3x8<S> {
+    pub fn gradient_of<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3x8<S>,
+        differences: Vec3x8<S>,
+        lanes: u64,
+    ) -> Vec3x8<S> {
         let mut all = differences * f32x8::splat(simd, 0.5 * self.scale);
         // Near the grid's faces a difference is taken at the face, as with a clamped texture.
-        let (x, y, z) = (beyond(p.x, self.top.x), beyond(p.y, self.top.y), beyond(p.z, self.top.z));
+        let (x, y, z) = (
+            beyond(p.x, self.top.x),
+            beyond(p.y, self.top.y),
+            beyond(p.z, self.top.z),
+        );
         for n in lanes_of(lanes & (x | y | z).to_bitmask()) {
             all.set(n, self.gradient(p.lane(n), GradientFilter::Central));
         }
@@ -99,16 +121,30 @@ impl<T: Voxel> VolumeSampler<'_, T> {
     /// same operations as stored differences.
     #[inline(always)]
     fn differences_between<S: Simd>(&self, simd: S, cells: &Cells<S>) -> Vec3x8<S> {
-        let Neighborhood { rows: [a, b, c, d], neighbors_y, neighbors_z } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
+        let Neighborhood {
+            rows: [a, b, c, d],
+            neighbors_y,
+            neighbors_z,
+        } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
         let x = mix_rows([across(a), across(b), across(c), across(d)], cells.f);
         let [below, above, below_on, above_on] = neighbors_y;
         let y = mix_rows(
-            [between(below, [b[1], b[2]]), between([a[1], a[2]], above), between(below_on, [d[1], d[2]]), between([c[1], c[2]], above_on)],
+            [
+                between(below, [b[1], b[2]]),
+                between([a[1], a[2]], above),
+                between(below_on, [d[1], d[2]]),
+                between([c[1], c[2]], above_on),
+            ],
             cells.f,
         );
         let [front, front_up, behind, behind_up] = neighbors_z;
         let z = mix_rows(
-            [between(front, [c[1], c[2]]), between(front_up, [d[1], d[2]]), between([a[1], a[2]], behind), between([b[1], b[2]], behind_up)],
+            [
+                between(front, [c[1], c[2]]),
+                between(front_up, [d[1], d[2]]),
+                between([a[1], a[2]], behind),
+                between([b[1], b[2]], behind_up),
+            ],
             cells.f,
         );
         Vec3x8 { x, y, z }
@@ -136,8 +172,16 @@ fn beyond<S: Simd>(x: f32x8<S>, top: f32) -> mask32x8<S> {
 /// The two halves of a word as 16-bit integers, the lower one first.
 #[inline(always)]
 fn halves<S: Simd>(words: i32x8<S>, signed: bool) -> [f32x8<S>; 2] {
-    let low = if signed { (words << 16) >> 16 } else { words & 0xffff };
-    let high = if signed { words >> 16 } else { (words >> 16) & 0xffff };
+    let low = if signed {
+        (words << 16) >> 16
+    } else {
+        words & 0xffff
+    };
+    let high = if signed {
+        words >> 16
+    } else {
+        (words >> 16) & 0xffff
+    };
     [low.to_float(), high.to_float()]
 }
 
@@ -160,7 +204,12 @@ fn word_at<T: I16Pairs>(voxels: &[T], at: usize) -> i32 {
 
 /// [`Voxel::around`].
 #[inline(always)]
-fn around_of_words<S: Simd, T: I16Pairs>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
+fn around_of_words<S: Simd, T: I16Pairs>(
+    simd: S,
+    voxels: &[T],
+    base: &[usize; LANES],
+    strides: Strides,
+) -> Neighborhood<S> {
     let [own, along_y, along_z] = strides.rows_around();
     let (mut front, mut back) = ([[0; LANES]; 4], [[0; LANES]; 4]);
     let (mut neighbors_y, mut neighbors_z) = ([[0; LANES]; 4], [[0; LANES]; 4]);
@@ -192,7 +241,10 @@ fn around_of_words<S: Simd, T: I16Pairs>(simd: S, voxels: &[T], base: &[usize; L
 
 #[inline(always)]
 fn quads<S: Simd, T: I16Pairs>(simd: S, front: [i32; LANES], back: [i32; LANES]) -> [f32x8<S>; 4] {
-    let ([a, b], [c, d]) = (T::halves(i32x8::load_array(simd, front)), T::halves(i32x8::load_array(simd, back)));
+    let ([a, b], [c, d]) = (
+        T::halves(i32x8::load_array(simd, front)),
+        T::halves(i32x8::load_array(simd, back)),
+    );
     [a, b, c, d]
 }
 
@@ -208,7 +260,12 @@ fn four_pairs<S: Simd, T: I16Pairs>(simd: S, [a, b, c, d]: [[i32; LANES]; 4]) ->
 
 /// [`Voxel::cells`].
 #[inline(always)]
-fn cells_of_words<S: Simd, T: I16Pairs>(simd: S, voxels: &[T], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+fn cells_of_words<S: Simd, T: I16Pairs>(
+    simd: S,
+    voxels: &[T],
+    base: &[usize; LANES],
+    strides: Strides,
+) -> [[f32x8<S>; 2]; 4] {
     let Strides { up, on } = strides;
     let mut words = [[0; LANES]; 4];
     for n in 0..LANES {
@@ -240,7 +297,12 @@ impl Voxel for u8 {
     }
 
     #[inline(always)]
-    fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+    fn cells<S: Simd>(
+        simd: S,
+        voxels: &[Self],
+        base: &[usize; LANES],
+        strides: Strides,
+    ) -> [[f32x8<S>; 2]; 4] {
         cells_of_words(simd, voxels, base, strides)
     }
 
@@ -272,12 +334,22 @@ macro_rules! of_16_bits {
             }
 
             #[inline(always)]
-            fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+            fn cells<S: Simd>(
+                simd: S,
+                voxels: &[Self],
+                base: &[usize; LANES],
+                strides: Strides,
+            ) -> [[f32x8<S>; 2]; 4] {
                 cells_of_words(simd, voxels, base, strides)
             }
 
             #[inline(always)]
-            fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
+            fn around<S: Simd>(
+                simd: S,
+                voxels: &[Self],
+                base: &[usize; LANES],
+                strides: Strides,
+            ) -> Neighborhood<S> {
                 around_of_words(simd, voxels, base, strides)
             }
         }
@@ -293,7 +365,12 @@ impl Voxel for f32 {
     }
 
     #[inline(always)]
-    fn cells<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> [[f32x8<S>; 2]; 4] {
+    fn cells<S: Simd>(
+        simd: S,
+        voxels: &[Self],
+        base: &[usize; LANES],
+        strides: Strides,
+    ) -> [[f32x8<S>; 2]; 4] {
         let Strides { up, on } = strides;
         let (mut low, mut high) = ([[0.0; LANES]; 4], [[0.0; LANES]; 4]);
         for n in 0..LANES {
@@ -315,7 +392,11 @@ impl Voxel for f32 {
     #[inline(always)]
     fn around<S: Simd>(simd: S, voxels: &[Self], base: &[usize; LANES], strides: Strides) -> Neighborhood<S> {
         let [own, along_y, along_z] = strides.rows_around();
-        let (mut rows, mut neighbors_y, mut neighbors_z) = ([[[0.0; LANES]; 4]; 4], [[[0.0; LANES]; 2]; 4], [[[0.0; LANES]; 2]; 4]);
+        let (mut rows, mut neighbors_y, mut neighbors_z) = (
+            [[[0.0; LANES]; 4]; 4],
+            [[[0.0; LANES]; 2]; 4],
+            [[[0.0; LANES]; 2]; 4],
+        );
         for n in 0..LANES {
             let v = strides.around(voxels, base[n]);
             for (row, at) in own.into_iter().enumerate() {
@@ -334,8 +415,18 @@ impl Voxel for f32 {
         let ([a, b, c, d], y, z) = (rows, neighbors_y, neighbors_z);
         Neighborhood {
             rows: [loaded(simd, a), loaded(simd, b), loaded(simd, c), loaded(simd, d)],
-            neighbors_y: [loaded(simd, y[0]), loaded(simd, y[1]), loaded(simd, y[2]), loaded(simd, y[3])],
-            neighbors_z: [loaded(simd, z[0]), loaded(simd, z[1]), loaded(simd, z[2]), loaded(simd, z[3])],
+            neighbors_y: [
+                loaded(simd, y[0]),
+                loaded(simd, y[1]),
+                loaded(simd, y[2]),
+                loaded(simd, y[3]),
+            ],
+            neighbors_z: [
+                loaded(simd, z[0]),
+                loaded(simd, z[1]),
+                loaded(simd, z[2]),
+                loaded(simd, z[3]),
+            ],
         }
     }
 }

@@ -114,7 +114,10 @@ pub struct Rescale {
 
 impl Rescale {
     /// Stored values are data values.
-    pub const NONE: Self = Self { slope: 1.0, intercept: 0.0 };
+    pub const NONE: Self = Self {
+        slope: 1.0,
+        intercept: 0.0,
+    };
 }
 
 /// Counts of the finite values in equal bins over the volume's range.
@@ -136,12 +139,20 @@ impl Volume {
     }
 
     /// Wraps voxels of which a range of stored values means "no value".
-    pub fn with_padding(voxels: Voxels, rescale: Rescale, world_from_voxel: DAffine3, padding: Option<[f64; 2]>) -> Self {
+    pub fn with_padding(
+        voxels: Voxels,
+        rescale: Rescale,
+        world_from_voxel: DAffine3,
+        padding: Option<[f64; 2]>,
+    ) -> Self {
         let size = voxels.size();
         let (stored, [non_finite, padded]) = voxels.finite_range(padding);
         let range = match stored {
             Some([a, b]) => {
-                let (a, b) = (a * rescale.slope + rescale.intercept, b * rescale.slope + rescale.intercept);
+                let (a, b) = (
+                    a * rescale.slope + rescale.intercept,
+                    b * rescale.slope + rescale.intercept,
+                );
                 [a.min(b), a.max(b)]
             }
             None => [0.0, 1.0],
@@ -172,7 +183,8 @@ impl Volume {
 
     /// Whether a stored value means "no value".
     pub fn is_padding(&self, stored: f64) -> bool {
-        self.padding.is_some_and(|[low, high]| (low..=high).contains(&stored))
+        self.padding
+            .is_some_and(|[low, high]| (low..=high).contains(&stored))
     }
 
     /// Sets the distances between voxel centres, mm; the first voxel and the directions are
@@ -181,8 +193,14 @@ impl Volume {
     /// # Errors
     /// A distance that is not positive.
     pub fn set_spacing(&mut self, spacing_mm: [f64; 3]) -> Result<()> {
-        if !spacing_mm.iter().all(|s| s.is_finite() && (1e-9..1e9).contains(s)) {
-            return Err(Error::value("spacing", format!("{spacing_mm:?} are not three positive distances in mm")));
+        if !spacing_mm
+            .iter()
+            .all(|s| s.is_finite() && (1e-9..1e9).contains(s))
+        {
+            return Err(Error::value(
+                "spacing",
+                format!("{spacing_mm:?} are not three positive distances in mm"),
+            ));
         }
         let direction = self.direction();
         self.world_from_voxel.matrix3 = direction * DMat3::from_diagonal(DVec3::from_array(spacing_mm));
@@ -192,18 +210,38 @@ impl Volume {
     /// An empty volume over a box, 128 voxels along its longest edge, from which a scene of meshes
     /// takes its lengths.
     pub fn empty_over(bounds: &crate::math::Bounds) -> Self {
-        let extent = if bounds.is_empty() { glam::Vec3::ONE } else { bounds.size().max(glam::Vec3::splat(f32::MIN_POSITIVE)) };
+        let extent = if bounds.is_empty() {
+            glam::Vec3::ONE
+        } else {
+            bounds.size().max(glam::Vec3::splat(f32::MIN_POSITIVE))
+        };
         let spacing = extent.max_element() / 128.0;
-        let size = (extent / spacing).ceil().max(glam::Vec3::ONE).to_array().map(|n| n as usize);
-        let middle = if bounds.is_empty() { glam::Vec3::ZERO } else { bounds.center() };
+        let size = (extent / spacing)
+            .ceil()
+            .max(glam::Vec3::ONE)
+            .to_array()
+            .map(|n| n as usize);
+        let middle = if bounds.is_empty() {
+            glam::Vec3::ZERO
+        } else {
+            bounds.center()
+        };
         let first = middle - glam::Vec3::from(size.map(|n| (n - 1) as f32)) * (0.5 * spacing);
-        let world_from_voxel = DAffine3::from_translation(first.as_dvec3()) * DAffine3::from_scale(DVec3::splat(f64::from(spacing)));
-        Self::new(Voxels::new(size, vec![0u8; size.iter().product()]), Rescale::NONE, world_from_voxel)
+        let world_from_voxel = DAffine3::from_translation(first.as_dvec3())
+            * DAffine3::from_scale(DVec3::splat(f64::from(spacing)));
+        Self::new(
+            Voxels::new(size, vec![0u8; size.iter().product()]),
+            Rescale::NONE,
+            world_from_voxel,
+        )
     }
 
     /// The volume's size and geometry.
     pub fn geometry(&self) -> GridGeometry {
-        GridGeometry { size: self.size, world_from_voxel: self.world_from_voxel }
+        GridGeometry {
+            size: self.size,
+            world_from_voxel: self.world_from_voxel,
+        }
     }
 
     /// Data value of the voxel (i, j, k).
@@ -232,10 +270,19 @@ impl Volume {
         let mut letters = ['?'; 3];
         // The most clearly aligned axis is assigned first.
         let mut order = [0usize, 1, 2];
-        order.sort_by(|&a, &b| direction.col(b).abs().max_element().total_cmp(&direction.col(a).abs().max_element()));
+        order.sort_by(|&a, &b| {
+            direction
+                .col(b)
+                .abs()
+                .max_element()
+                .total_cmp(&direction.col(a).abs().max_element())
+        });
         for axis in order {
             let column = direction.col(axis);
-            let world = (0..3).filter(|&w| free[w]).max_by(|&a, &b| column[a].abs().total_cmp(&column[b].abs())).unwrap_or(0);
+            let world = (0..3)
+                .filter(|&w| free[w])
+                .max_by(|&a, &b| column[a].abs().total_cmp(&column[b].abs()))
+                .unwrap_or(0);
             free[world] = false;
             letters[axis] = [['L', 'R'], ['P', 'A'], ['S', 'I']][world][usize::from(column[world] < 0.0)];
         }
@@ -254,12 +301,21 @@ impl Volume {
     pub fn tilt_degrees(&self) -> f64 {
         let m = self.world_from_voxel.matrix3;
         let normal = m.x_axis.cross(m.y_axis).normalize_or_zero();
-        normal.cross(m.z_axis).length().atan2(normal.dot(m.z_axis).abs()).to_degrees()
+        normal
+            .cross(m.z_axis)
+            .length()
+            .atan2(normal.dot(m.z_axis).abs())
+            .to_degrees()
     }
 
     /// A histogram of the finite values, without padding.
     pub fn histogram(&self, bins: usize) -> Arc<Histogram> {
-        let lock = || self.statistics.histograms.lock().unwrap_or_else(PoisonError::into_inner);
+        let lock = || {
+            self.statistics
+                .histograms
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+        };
         if let Some(statistics) = lock().iter().find(|h| h.counts.len() == bins) {
             return statistics.clone();
         }
@@ -325,7 +381,8 @@ impl Volume {
     /// millimetres.
     pub fn bounds_in_world(&self) -> crate::math::Bounds {
         let s = self.size.map(|n| n as f32);
-        crate::math::Bounds::new(glam::Vec3::splat(-0.5), glam::Vec3::from(s) - 0.5).transformed(&crate::math::to_f32(&self.world_from_voxel))
+        crate::math::Bounds::new(glam::Vec3::splat(-0.5), glam::Vec3::from(s) - 0.5)
+            .transformed(&crate::math::to_f32(&self.world_from_voxel))
     }
 }
 
@@ -357,14 +414,24 @@ mod tests {
     use super::*;
 
     fn volume(direction: DMat3) -> Volume {
-        Volume::new(Voxels::new([2; 3], (0..8u8).collect::<Vec<_>>()), Rescale::NONE, DAffine3::from_mat3(direction))
+        Volume::new(
+            Voxels::new([2; 3], (0..8u8).collect::<Vec<_>>()),
+            Rescale::NONE,
+            DAffine3::from_mat3(direction),
+        )
     }
 
     #[test]
     fn orientation_letters() {
         assert_eq!(volume(DMat3::IDENTITY).orientation(), "LPS");
-        assert_eq!(volume(DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0))).orientation(), "RAS");
-        assert_eq!(volume(DMat3::from_cols(DVec3::Y * 2.0, DVec3::NEG_Z, DVec3::X)).orientation(), "PIL");
+        assert_eq!(
+            volume(DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0))).orientation(),
+            "RAS"
+        );
+        assert_eq!(
+            volume(DMat3::from_cols(DVec3::Y * 2.0, DVec3::NEG_Z, DVec3::X)).orientation(),
+            "PIL"
+        );
     }
 
     #[test]
@@ -377,7 +444,11 @@ mod tests {
 
     #[test]
     fn non_finite_voxels_are_counted_and_leave_the_range_alone() {
-        let v = Volume::new(Voxels::new([4, 1, 1], vec![f32::NAN, 1.0, f32::INFINITY, -2.0]), Rescale::NONE, DAffine3::IDENTITY);
+        let v = Volume::new(
+            Voxels::new([4, 1, 1], vec![f32::NAN, 1.0, f32::INFINITY, -2.0]),
+            Rescale::NONE,
+            DAffine3::IDENTITY,
+        );
         assert_eq!((v.non_finite, v.range), (2, [-2.0, 1.0]));
     }
 }

@@ -21,7 +21,10 @@ impl<T: AnyBitPattern + NoUninit> MappedArray<T> {
         // Systems without huge pages, or with restricted ones, provide ordinary pages.
         #[cfg(target_os = "linux")]
         let _ = memory.advise(memmap2::Advice::HugePage);
-        Some(Self { memory, of: PhantomData })
+        Some(Self {
+            memory,
+            of: PhantomData,
+        })
     }
 }
 

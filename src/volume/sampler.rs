@@ -24,13 +24,25 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
         let voxels = flat(voxels);
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
         let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
-        Self { voxels, size: grid.size, top, scale: grid.scale, offset: grid.offset, texels: None }
+        Self {
+            voxels,
+            size: grid.size,
+            top,
+            scale: grid.scale,
+            offset: grid.offset,
+            texels: None,
+        }
     }
 
     /// The sampler with a gradient volume of the same grid, which supplies differences with eight
     /// samples at once; the results are the same bit for bit.
     pub fn with_gradients(self, gradients: Option<&'a GradientVolume>) -> Self {
-        Self { texels: gradients.map(|g| &*g.texels).filter(|texels| texels.len() == self.voxels.len()), ..self }
+        Self {
+            texels: gradients
+                .map(|g| &*g.texels)
+                .filter(|texels| texels.len() == self.voxels.len()),
+            ..self
+        }
     }
 
     /// Whether samples come with differences.
@@ -107,9 +119,15 @@ mod tests {
 
     #[test]
     fn samples_beside_a_hole_are_holes_or_honest() {
-        let volume = Volume::new(Voxels::new([3, 1, 1], vec![1.0f32, f32::NAN, 3.0]), Rescale::NONE, DAffine3::IDENTITY);
+        let volume = Volume::new(
+            Voxels::new([3, 1, 1], vec![1.0f32, f32::NAN, 3.0]),
+            Rescale::NONE,
+            DAffine3::IDENTITY,
+        );
         let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let VoxelGridValues::F32(v) = &grid.voxels else {
+            panic!()
+        };
         let s = VolumeSampler::new(&grid, v);
         assert!(grid.has_holes);
         assert!(s.sample(Vec3::new(1.0, 0.0, 0.0)) < 0.0);
@@ -119,10 +137,14 @@ mod tests {
 
     #[test]
     fn linear_functions_are_sampled_exactly() {
-        let voxels: Vec<f32> = (0..60).map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32).collect();
+        let voxels: Vec<f32> = (0..60)
+            .map(|n| (n % 3) as f32 + 10.0 * (n / 3 % 4) as f32 - 4.0 * (n / 12) as f32)
+            .collect();
         let volume = Volume::new(Voxels::new([3, 4, 5], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else { panic!() };
+        let VoxelGridValues::F32(v) = &grid.voxels else {
+            panic!()
+        };
         let s = VolumeSampler::new(&grid, v);
         let p = Vec3::new(1.25, 2.5, 3.125);
         let want = (p.x + 10.0 * p.y - 4.0 * p.z + 16.0) / 48.0;

@@ -50,14 +50,27 @@ impl Format {
     /// # Errors
     /// An extension that cannot be written.
     pub fn of(path: &Path) -> Result<Self> {
-        let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-        let endings = [(".nii.gz", Self::NiftiGz), (".nii", Self::Nifti), (".nrrd", Self::Nrrd), (".mha", Self::Mha), (".vti", Self::Vti)];
-        endings.into_iter().find(|(e, _)| name.ends_with(e)).map(|(_, f)| f).ok_or_else(|| {
-            Error::value(
-                format!("--output {}", path.display()),
-                "does not say its format; name a file that ends in .nii.gz, .nii, .nrrd, .mha or .vti",
-            )
-        })
+        let name = path
+            .file_name()
+            .map(|n| n.to_string_lossy().to_ascii_lowercase())
+            .unwrap_or_default();
+        let endings = [
+            (".nii.gz", Self::NiftiGz),
+            (".nii", Self::Nifti),
+            (".nrrd", Self::Nrrd),
+            (".mha", Self::Mha),
+            (".vti", Self::Vti),
+        ];
+        endings
+            .into_iter()
+            .find(|(e, _)| name.ends_with(e))
+            .map(|(_, f)| f)
+            .ok_or_else(|| {
+                Error::value(
+                    format!("--output {}", path.display()),
+                    "does not say its format; name a file that ends in .nii.gz, .nii, .nrrd, .mha or .vti",
+                )
+            })
     }
 
     /// Whether the format can store a slope and an intercept.
@@ -110,13 +123,17 @@ impl<W: Write> Writer<W> {
         let sink = match format {
             Format::Nifti | Format::NiftiGz => {
                 let header = nifti_header(grid, content);
-                let mut sink =
-                    if format == Format::Nifti { Sink::Plain(out) } else { Sink::Gzip(Box::new(GzEncoder::new(out, Compression::new(4)))) };
+                let mut sink = if format == Format::Nifti {
+                    Sink::Plain(out)
+                } else {
+                    Sink::Gzip(Box::new(GzEncoder::new(out, Compression::new(4))))
+                };
                 sink.write_all(&header).map_err(io)?;
                 sink
             }
             Format::Nrrd => {
-                out.write_all(nrrd_header(grid, content)?.as_bytes()).map_err(io)?;
+                out.write_all(nrrd_header(grid, content)?.as_bytes())
+                    .map_err(io)?;
                 Sink::Gzip(Box::new(GzEncoder::new(out, Compression::new(4))))
             }
             Format::Mha => {
@@ -125,12 +142,20 @@ impl<W: Write> Writer<W> {
             }
             Format::Vti => {
                 out.write_all(vti_header(grid, content)?.as_bytes()).map_err(io)?;
-                let bytes = grid.size.iter().product::<usize>() * content.components() * content.scalar().bytes();
+                let bytes =
+                    grid.size.iter().product::<usize>() * content.components() * content.scalar().bytes();
                 out.write_all(&(bytes as u64).to_le_bytes()).map_err(io)?;
                 Sink::Plain(out)
             }
         };
-        Ok(Self { sink, end: if format == Format::Vti { "\n  </AppendedData>\n</VTKFile>\n" } else { "" } })
+        Ok(Self {
+            sink,
+            end: if format == Format::Vti {
+                "\n  </AppendedData>\n</VTKFile>\n"
+            } else {
+                ""
+            },
+        })
     }
 
     /// Appends values.
@@ -207,10 +232,22 @@ impl NiftiHeader {
 fn nifti_header(grid: &GridGeometry, content: Content) -> Vec<u8> {
     let two = grid.size.iter().any(|&n| n > i16::MAX as usize);
     let length = if two { 540 } else { 348 };
-    let mut h = NiftiHeader { bytes: vec![0u8; length + 4], two };
+    let mut h = NiftiHeader {
+        bytes: vec![0u8; length + 4],
+        two,
+    };
     h.put(0, &(length as i32).to_le_bytes());
     let components = content.components();
-    let dim: [usize; 8] = [if components > 1 { 5 } else { 3 }, grid.size[0], grid.size[1], grid.size[2], 1, components, 1, 1];
+    let dim: [usize; 8] = [
+        if components > 1 { 5 } else { 3 },
+        grid.size[0],
+        grid.size[1],
+        grid.size[2],
+        1,
+        components,
+        1,
+        1,
+    ];
     for (n, d) in dim.into_iter().enumerate() {
         if two {
             h.put(16 + 8 * n, &(d as i64).to_le_bytes());
@@ -253,13 +290,20 @@ fn nifti_header(grid: &GridGeometry, content: Content) -> Vec<u8> {
     } else {
         h.number(108, 0, 0, (length + 4) as f64);
     }
-    let rescale = if let Content::Scalar(_, r) = content { r } else { Rescale::NONE };
+    let rescale = if let Content::Scalar(_, r) = content {
+        r
+    } else {
+        Rescale::NONE
+    };
     h.number(112, 176, 0, rescale.slope);
     h.number(116, 184, 0, rescale.intercept);
     // Millimetres.
     h.put(if two { 500 } else { 123 }, &[2]);
     let t = ras_from_voxel.translation;
-    let orthogonal = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array().iter().all(|v| v.abs() < 1e-4);
+    let orthogonal = (rotation.transpose() * rotation - DMat3::IDENTITY)
+        .to_cols_array()
+        .iter()
+        .all(|v| v.abs() < 1e-4);
     if orthogonal {
         let q = DQuat::from_mat3(&rotation).normalize();
         let q = if q.w < 0.0 { -q } else { q };
@@ -270,7 +314,10 @@ fn nifti_header(grid: &GridGeometry, content: Content) -> Vec<u8> {
     }
     h.code(254, 348, 1);
     for row in 0..3 {
-        for (column, v) in [m.x_axis[row], m.y_axis[row], m.z_axis[row], t[row]].into_iter().enumerate() {
+        for (column, v) in [m.x_axis[row], m.y_axis[row], m.z_axis[row], t[row]]
+            .into_iter()
+            .enumerate()
+        {
             h.number(280, 400, 4 * row + column, v);
         }
     }
@@ -305,11 +352,19 @@ fn nrrd_header(grid: &GridGeometry, content: Content) -> Result<String, String> 
     let v = |d: DVec3| format!("({},{},{})", d.x, d.y, d.z);
     let directions = format!("{} {} {}", v(m.x_axis), v(m.y_axis), v(m.z_axis));
     let (dimension, sizes, kinds, directions) = match content.components() {
-        1 => (3, format!("{i} {j} {k}"), "domain domain domain".to_owned(), directions),
+        1 => (
+            3,
+            format!("{i} {j} {k}"),
+            "domain domain domain".to_owned(),
+            directions,
+        ),
         // Some programs treat an unnamed list of four as a colour.
-        n => {
-            (4, format!("{n} {i} {j} {k}"), format!("{} domain domain domain", if n == 3 { "vector" } else { "list" }), format!("none {directions}"))
-        }
+        n => (
+            4,
+            format!("{n} {i} {j} {k}"),
+            format!("{} domain domain domain", if n == 3 { "vector" } else { "list" }),
+            format!("none {directions}"),
+        ),
     };
     let mut text = String::from("NRRD0005\n# A volume on a grid in patient space\n");
     let _infallible = write!(
@@ -380,14 +435,22 @@ fn vti_header(grid: &GridGeometry, content: Content) -> Result<String, String> {
     }
     let m = grid.world_from_voxel.matrix3;
     let spacing = DVec3::new(m.x_axis.length(), m.y_axis.length(), m.z_axis.length());
-    let direction = DMat3::from_cols(m.x_axis / spacing.x, m.y_axis / spacing.y, m.z_axis / spacing.z).transpose();
+    let direction =
+        DMat3::from_cols(m.x_axis / spacing.x, m.y_axis / spacing.y, m.z_axis / spacing.z).transpose();
     let list = |v: &[f64]| v.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-    let extent = format!("0 {} 0 {} 0 {}", grid.size[0] - 1, grid.size[1] - 1, grid.size[2] - 1);
+    let extent = format!(
+        "0 {} 0 {} 0 {}",
+        grid.size[0] - 1,
+        grid.size[1] - 1,
+        grid.size[2] - 1
+    );
     let (name, active, components) = match content {
         Content::Scalar(..) => ("values", "Scalars", 1),
         Content::Labels(_) => ("labels", "Scalars", 1),
         Content::Field => ("displacement", "Vectors", 3),
-        Content::Map => return Err("VTK cannot say that a file is a displacement map; write .nrrd instead".into()),
+        Content::Map => {
+            return Err("VTK cannot say that a file is a displacement map; write .nrrd instead".into());
+        }
     };
     Ok(format!(
         "<?xml version=\"1.0\"?>\n<VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n  <ImageData WholeExtent=\"{extent}\" Origin=\"{}\" Spacing=\"{}\" Direction=\"{}\">\n    <Piece Extent=\"{extent}\">\n      <PointData {active}=\"{name}\">\n        <DataArray type=\"{type_name}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=\"appended\" offset=\"0\"/>\n      </PointData>\n    </Piece>\n  </ImageData>\n  <AppendedData encoding=\"raw\">\n   _",
@@ -406,9 +469,15 @@ pub fn encode(format: Format, grid: &GridGeometry, content: Content, values: &[f
     let mut writer = Writer::new(Vec::new(), format, grid, content).map_err(fail)?;
     let c = content.components();
     let bytes: Vec<u8> = if format.planar() && c > 1 {
-        (0..c).flat_map(|n| values.iter().skip(n).step_by(c)).flat_map(|v| v.to_le_bytes()).collect()
+        (0..c)
+            .flat_map(|n| values.iter().skip(n).step_by(c))
+            .flat_map(|v| v.to_le_bytes())
+            .collect()
     } else {
         values.iter().flat_map(|v| v.to_le_bytes()).collect()
     };
-    writer.push(&bytes).and_then(|()| writer.finish()).map_err(|e| fail(e.to_string()))
+    writer
+        .push(&bytes)
+        .and_then(|()| writer.finish())
+        .map_err(|e| fail(e.to_string()))
 }

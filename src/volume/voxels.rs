@@ -85,9 +85,13 @@ macro_rules! from_arrays {
 from_arrays!(U8 u8, I8 i8, U16 u16, I16 i16, U32 u32, I32 i32, U64 u64, I64 i64, F32 f32, F64 f64);
 
 /// A copy in standard layout.
-pub(super) fn standard<T: Copy + Default + Send + Sync, D: Dimension>(view: ArrayView<T, D>) -> ArcArray<T, D> {
+pub(super) fn standard<T: Copy + Default + Send + Sync, D: Dimension>(
+    view: ArrayView<T, D>,
+) -> ArcArray<T, D> {
     let mut copy = Array::default(view.raw_dim());
-    Zip::from(&mut copy).and(&view).par_for_each(|to, &value| *to = value);
+    Zip::from(&mut copy)
+        .and(&view)
+        .par_for_each(|to, &value| *to = value);
     copy.into_shared()
 }
 
@@ -137,7 +141,11 @@ impl Voxels {
     /// Interpolates each layer between one and the next, `(lower, fraction of the upper)`; uses the
     /// nearer one where `takes_nearest` returns true for their values. Integers are rounded.
     #[allow(clippy::unnecessary_cast, reason = "one of the ten types is f64 already")]
-    pub(super) fn interpolated_layers(&self, between: &[(usize, f64)], takes_nearest: impl Fn(f64, f64) -> bool + Sync) -> Self {
+    pub(super) fn interpolated_layers(
+        &self,
+        between: &[(usize, f64)],
+        takes_nearest: impl Fn(f64, f64) -> bool + Sync,
+    ) -> Self {
         let round = self.is_integer();
         of_same_type!(self, v => {
             let (_, nj, ni) = v.dim();
@@ -314,7 +322,13 @@ impl<D: Dimension> TypedArray<D> {
         let Some([from, to]) = padding else {
             let (low, high, bad) = self.fold(
                 || (f64::INFINITY, f64::NEG_INFINITY, 0usize),
-                |(low, high, bad), x| if x.is_finite() { (low.min(x), high.max(x), bad) } else { (low, high, bad + 1) },
+                |(low, high, bad), x| {
+                    if x.is_finite() {
+                        (low.min(x), high.max(x), bad)
+                    } else {
+                        (low, high, bad + 1)
+                    }
+                },
                 |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2),
             );
             return ((low <= high).then_some([low, high]), [bad, 0]);

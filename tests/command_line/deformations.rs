@@ -21,11 +21,26 @@ fn write_inputs(folder: &Path) {
         }
         std::fs::write(folder.join(name), text).unwrap();
     };
-    field("nan.nrrd", &|n| if n == 100 { [f32::NAN, 0.0, 0.0] } else { [1.0, 0.0, 0.0] });
-    field("folded.nrrd", &|n| [-2.0 * ((n % 9) as f32 * 10.0 - 40.0), 0.0, 0.0]);
-    std::fs::write(folder.join("short.nrrd"), &std::fs::read(folder.join("folded.nrrd")).unwrap()[..400]).unwrap();
-    std::fs::write(folder.join("huge.nrrd"), "NRRD0004\ntype: float\ndimension: 3\nsizes: 90000 90000 90000\nendian: little\nencoding: raw\n\nx")
-        .unwrap();
+    field("nan.nrrd", &|n| {
+        if n == 100 {
+            [f32::NAN, 0.0, 0.0]
+        } else {
+            [1.0, 0.0, 0.0]
+        }
+    });
+    field("folded.nrrd", &|n| {
+        [-2.0 * ((n % 9) as f32 * 10.0 - 40.0), 0.0, 0.0]
+    });
+    std::fs::write(
+        folder.join("short.nrrd"),
+        &std::fs::read(folder.join("folded.nrrd")).unwrap()[..400],
+    )
+    .unwrap();
+    std::fs::write(
+        folder.join("huge.nrrd"),
+        "NRRD0004\ntype: float\ndimension: 3\nsizes: 90000 90000 90000\nendian: little\nencoding: raw\n\nx",
+    )
+    .unwrap();
     std::fs::write(folder.join("words.txt"), "this is no transform").unwrap();
     std::fs::write(
         folder.join("other.tfm"),
@@ -45,7 +60,12 @@ fn write_inputs(folder: &Path) {
         std::fs::write(folder.join(name), text).unwrap();
     };
     itk("zero.tfm", "AffineTransform", 12, "0 0 0");
-    itk("coarse.tfm", "BSplineTransform", 81, "3 3 3 0 0 0 9 9 9 1 0 0 0 1 0 0 0 1");
+    itk(
+        "coarse.tfm",
+        "BSplineTransform",
+        81,
+        "3 3 3 0 0 0 9 9 9 1 0 0 0 1 0 0 0 1",
+    );
     std::fs::write(folder.join("singular.1D"), "1 0 0 0 1 0 0 0 0 0 1 0").unwrap();
     std::fs::write(folder.join("bad.csv"), "1,2,3,4,5\n").unwrap();
     std::fs::write(folder.join("bad.mrk.json"), "{\"markups\": 3}").unwrap();
@@ -82,7 +102,10 @@ const BAD_DEFORMATIONS: &[(&str, &str)] = &[
     ("lasso:points=0,0,10,10", "2 points"),
     ("lasso:points=0,0,30,30,30,0,0,30", "crosses itself"),
     ("lasso:points=0,0,30", "two"),
-    ("explode-labels:label=77,labels=phantom:octants:size=16", "1, 2, 3"),
+    (
+        "explode-labels:label=77,labels=phantom:octants:size=16",
+        "1, 2, 3",
+    ),
     ("explode-labels", "label"),
     ("strip:label=999,labels=phantom:octants:size=16", "999"),
     ("strip:iso=1e9", "no surface"),
@@ -94,7 +117,10 @@ const BAD_DEFORMATIONS: &[(&str, &str)] = &[
     ("elastic:grab=1,2,3", "7"),
     ("elastic:grab=500,0,0,1,1,0,0", "no lattice node"),
     ("elastic:grab=0,0,0,5,1,0,0,incision=0,0,0,0,0,0,5", "normal"),
-    ("brush:strokes=cut 5 1 0 0 0,psuh 5 1 0 0 0 9 9 9", "stroke 2: \"psuh\" is not a tool; did you mean \"push\"?"),
+    (
+        "brush:strokes=cut 5 1 0 0 0,psuh 5 1 0 0 0 9 9 9",
+        "stroke 2: \"psuh\" is not a tool; did you mean \"push\"?",
+    ),
     ("brush:strokes=push 5 1 0 0 0", "needs at least 2"),
     ("peel:depth=deep", "deep"),
     ("wave:spare=words", "numbers"),
@@ -111,18 +137,37 @@ pub fn bad_deformations_are_named() {
         let output = render(f, &["volume.nii.gz", "--deform", deformation]);
         let message = stderr(&output);
         assert_eq!(output.status.code(), Some(1), "{deformation}: {message}");
-        assert!(message.contains(culprit) && !message.contains("panicked"), "{deformation}: {message}");
-        assert_eq!(std::fs::read_dir(f).unwrap().count(), before, "{deformation} left a file");
+        assert!(
+            message.contains(culprit) && !message.contains("panicked"),
+            "{deformation}: {message}"
+        );
+        assert_eq!(
+            std::fs::read_dir(f).unwrap().count(),
+            before,
+            "{deformation} left a file"
+        );
     }
     // Cuts in groups must come last.
-    let output = render(f, &["volume.nii.gz", "--deform", "sphere:group=a", "--deform", "twist"]);
+    let output = render(
+        f,
+        &["volume.nii.gz", "--deform", "sphere:group=a", "--deform", "twist"],
+    );
     assert!(stderr(&output).contains("to the end") && output.status.code() == Some(1));
     // Too few points, and a field that folds everywhere: rendered, with a notice.
-    let odd: &[(&str, &str)] =
-        &[("points:pairs=0,0,20,5,5,25,-10,0,0,-10,2,0", "2 points are too few"), ("field:path=folded.nrrd,invert=true", "have no source")];
+    let odd: &[(&str, &str)] = &[
+        (
+            "points:pairs=0,0,20,5,5,25,-10,0,0,-10,2,0",
+            "2 points are too few",
+        ),
+        ("field:path=folded.nrrd,invert=true", "have no source"),
+    ];
     for (deformation, expected) in odd {
         let output = render(f, &["volume.nii.gz", "--deform", deformation]);
-        assert!(output.status.success() && stderr(&output).contains(expected), "{deformation}: {}", stderr(&output));
+        assert!(
+            output.status.success() && stderr(&output).contains(expected),
+            "{deformation}: {}",
+            stderr(&output)
+        );
     }
     check_folded_field(f);
     check_refused_commands(f);
@@ -130,11 +175,33 @@ pub fn bad_deformations_are_named() {
 
 /// Checks the report, the picture and the table of a field that folds everywhere.
 fn check_folded_field(folder: &Path) {
-    let check = incise(folder, &["map", "check", "folded.nrrd", "--json", "--picture", "folds.png", "--csv", "folds.csv"]);
+    let check = incise(
+        folder,
+        &[
+            "map",
+            "check",
+            "folded.nrrd",
+            "--json",
+            "--picture",
+            "folds.png",
+            "--csv",
+            "folds.csv",
+        ],
+    );
     let report: serde_json::Value = serde_json::from_slice(&check.stdout).unwrap();
     assert_eq!(report["health"]["folds_percent"], 100.0);
-    assert!(std::fs::read(folder.join("folds.png")).unwrap().starts_with(b"\x89PNG"));
-    assert_eq!(std::fs::read_to_string(folder.join("folds.csv")).unwrap().lines().count(), 730);
+    assert!(
+        std::fs::read(folder.join("folds.png"))
+            .unwrap()
+            .starts_with(b"\x89PNG")
+    );
+    assert_eq!(
+        std::fs::read_to_string(folder.join("folds.csv"))
+            .unwrap()
+            .lines()
+            .count(),
+        730
+    );
 }
 
 /// Checks that maps and bakes without usable input or output are refused.
@@ -142,19 +209,39 @@ fn check_refused_commands(folder: &Path) {
     for (arguments, culprit) in [
         (&["bake", "volume.nii.gz", "-o", "out.tiff"][..], ".nrrd"),
         (&["bake", "volume.nii.gz", "-o", "volume.nii.gz"], "input"),
-        (&["bake", "volume.nii.gz", "-o", "out.nii", "--fill", "nan"], "fill"),
+        (
+            &["bake", "volume.nii.gz", "-o", "out.nii", "--fill", "nan"],
+            "fill",
+        ),
         (&["map", "peal", "-o", "out.nrrd"], "peel"),
         (&["map", "field.nrrd", "-o", "field.nrrd"], "input"),
         (&["map", "check", "words.txt"], "words.txt"),
-        (&["map", "peel", "--volume", "volume.nii.gz", "-o", "volume.nii.gz"], "input"),
+        (
+            &["map", "peel", "--volume", "volume.nii.gz", "-o", "volume.nii.gz"],
+            "input",
+        ),
         (&["map", "check", "field.nrrd", "--csv", "field.nrrd"], "input"),
-        (&["bake", "volume.nii.gz", "--deform", "field:path=field.nrrd", "-o", "field.nrrd"], "input"),
+        (
+            &[
+                "bake",
+                "volume.nii.gz",
+                "--deform",
+                "field:path=field.nrrd",
+                "-o",
+                "field.nrrd",
+            ],
+            "input",
+        ),
         (&["map", "check", "volume.nii.gz"], "1 values"),
         (&["gallery", "-o", "gallery", "--kind", "peal"], "peel"),
     ] {
         let output = incise(folder, arguments);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}");
-        assert!(stderr(&output).contains(culprit), "{arguments:?}: {}", stderr(&output));
+        assert!(
+            stderr(&output).contains(culprit),
+            "{arguments:?}: {}",
+            stderr(&output)
+        );
     }
 }
 
@@ -172,9 +259,30 @@ pub fn maps_and_bakes_by_the_command_line() {
     let f = folder.path();
     let run = |arguments: &[&str]| succeed(f, arguments);
     let volume = "phantom:tomato:size=40";
-    run(&["map", "twist:angle=50,resolution=24", "--volume", volume, "-o", "twist.nrrd"]);
+    run(&[
+        "map",
+        "twist:angle=50,resolution=24",
+        "--volume",
+        volume,
+        "-o",
+        "twist.nrrd",
+    ]);
     let picture = |deform: &[&str], out: &str| {
-        run(&[&["render", volume, "-o", out, "--size", "64x64", "--backend", "cpu", "-q"], deform].concat());
+        run(&[
+            &[
+                "render",
+                volume,
+                "-o",
+                out,
+                "--size",
+                "64x64",
+                "--backend",
+                "cpu",
+                "-q",
+            ],
+            deform,
+        ]
+        .concat());
         std::fs::read(f.join(out)).unwrap()
     };
     let plain = picture(&[], "plain.png");
@@ -184,21 +292,62 @@ pub fn maps_and_bakes_by_the_command_line() {
     // The file holds the displacement in mm, which is rounded to f16 on loading: a few pixels
     // differ by a small step.
     let decoded = |bytes: &[u8]| image::load_from_memory(bytes).unwrap().to_rgb8().into_raw();
-    let far = decoded(&kind).iter().zip(decoded(&map)).filter(|(a, b)| a.abs_diff(*b) > 2).count();
+    let far = decoded(&kind)
+        .iter()
+        .zip(decoded(&map))
+        .filter(|(a, b)| a.abs_diff(*b) > 2)
+        .count();
     assert!(far < 20, "{far}");
     // A field that vanishes on every face, so that nothing tears there.
-    run(&["map", "bulge:resolution=32", "--volume", volume, "-o", "bulge.nrrd"]);
+    run(&[
+        "map",
+        "bulge:resolution=32",
+        "--volume",
+        volume,
+        "-o",
+        "bulge.nrrd",
+    ]);
     run(&["map", "bulge.nrrd", "-o", "field.nii.gz"]);
     run(&["map", "field.nii.gz", "--invert", "-o", "back.mha"]);
     // A field followed by its inverse is close to zero displacement.
-    run(&["bake", volume, "--field", "-o", "none.mha", "--deform", "field:path=field.nii.gz", "--deform", "field:path=back.mha"]);
+    run(&[
+        "bake",
+        volume,
+        "--field",
+        "-o",
+        "none.mha",
+        "--deform",
+        "field:path=field.nii.gz",
+        "--deform",
+        "field:path=back.mha",
+    ]);
     let health = |file: &str| -> serde_json::Value {
-        serde_json::from_slice::<serde_json::Value>(&run(&["map", "check", file, "--json", "--no-inverse"]).stdout).unwrap()["health"].clone()
+        serde_json::from_slice::<serde_json::Value>(
+            &run(&["map", "check", file, "--json", "--no-inverse"]).stdout,
+        )
+        .unwrap()["health"]
+            .clone()
     };
-    let (there, nothing) = (health("field.nii.gz")["largest_mm"].as_f64().unwrap(), health("none.mha")["mean_mm"].as_f64().unwrap());
+    let (there, nothing) = (
+        health("field.nii.gz")["largest_mm"].as_f64().unwrap(),
+        health("none.mha")["mean_mm"].as_f64().unwrap(),
+    );
     assert!(there > 5.0 && nothing < 0.02, "{there} {nothing}");
     check_bakes(f);
-    run(&["gallery", "-o", "gallery", "--kind", "peel", "--kind", "lift", "--edge", "48", "--volume", "phantom:head-ct:size=48", "-q"]);
+    run(&[
+        "gallery",
+        "-o",
+        "gallery",
+        "--kind",
+        "peel",
+        "--kind",
+        "lift",
+        "--edge",
+        "48",
+        "--volume",
+        "phantom:head-ct:size=48",
+        "-q",
+    ]);
     let page = std::fs::read_to_string(f.join("gallery/index.html")).unwrap();
     assert!(page.contains("peel-volume.png") && f.join("gallery/peel-checker.png").exists());
 }
@@ -206,12 +355,33 @@ pub fn maps_and_bakes_by_the_command_line() {
 /// Checks that bakes have the type, the orientation and the labels of their volume.
 fn check_bakes(folder: &Path) {
     let run = |arguments: &[&str]| succeed(folder, arguments);
-    run(&["bake", "phantom:tomato:size=40", "-o", "baked.nii.gz", "--deform", "slab", "--enlarge", "-q"]);
-    let info: serde_json::Value = serde_json::from_slice(&run(&["info", "--json", "baked.nii.gz"]).stdout).unwrap();
-    assert_eq!((info["type"].as_str(), info["orientation"].as_str()), (Some("u8"), Some("LPS")));
+    run(&[
+        "bake",
+        "phantom:tomato:size=40",
+        "-o",
+        "baked.nii.gz",
+        "--deform",
+        "slab",
+        "--enlarge",
+        "-q",
+    ]);
+    let info: serde_json::Value =
+        serde_json::from_slice(&run(&["info", "--json", "baked.nii.gz"]).stdout).unwrap();
+    assert_eq!(
+        (info["type"].as_str(), info["orientation"].as_str()),
+        (Some("u8"), Some("LPS"))
+    );
     assert!(info["size"][2].as_u64().unwrap() > 50);
     // A label map keeps its labels.
-    run(&["bake", "phantom:octants:size=32", "-o", "labels.nrrd", "--deform", "wave"]);
-    let info: serde_json::Value = serde_json::from_slice(&run(&["info", "--json", "labels.nrrd"]).stdout).unwrap();
+    run(&[
+        "bake",
+        "phantom:octants:size=32",
+        "-o",
+        "labels.nrrd",
+        "--deform",
+        "wave",
+    ]);
+    let info: serde_json::Value =
+        serde_json::from_slice(&run(&["info", "--json", "labels.nrrd"]).stdout).unwrap();
     assert_eq!(info["labels"], 8);
 }

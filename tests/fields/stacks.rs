@@ -29,8 +29,15 @@ pub fn long_stacks_are_composed() {
     let composed = Prepared::new(&scene, &assets).unwrap();
     let c = composed.composition.unwrap();
     let d = difference(&picture(&composed), &picture(&all)).unwrap();
-    println!("11 maps: {c:?}; mean {:.3}/255, PSNR {:.1} dB", d.mean * 255.0, d.psnr);
-    assert!(c.composed && c.worst_mm <= 0.3 && composed.stack.precomposed().is_some(), "{c:?}");
+    println!(
+        "11 maps: {c:?}; mean {:.3}/255, PSNR {:.1} dB",
+        d.mean * 255.0,
+        d.psnr
+    );
+    assert!(
+        c.composed && c.worst_mm <= 0.3 && composed.stack.precomposed().is_some(),
+        "{c:?}"
+    );
     assert!(d.mean < 0.5 / 255.0, "{d:?}");
 }
 
@@ -38,17 +45,36 @@ pub fn long_stacks_are_composed() {
 pub fn composition_keeps_its_bound() {
     let mut scene = Scene::of_volume("phantom:ball:size=64");
     // All of these vanish on the faces of their boxes: one map can replace them everywhere.
-    scene.deformation = vec![Deformation::new("bulge"), Deformation { rotate: Some([20.0, 40.0, 0.0]), ..Deformation::new("spline-pull") }];
+    scene.deformation = vec![
+        Deformation::new("bulge"),
+        Deformation {
+            rotate: Some([20.0, 40.0, 0.0]),
+            ..Deformation::new("spline-pull")
+        },
+    ];
     let assets = assets(&scene);
     let (stack, _) = stack_of(&scene, &assets, None);
     let (mut last, mut first) = (0, usize::MAX);
     for bound in [2.0, 0.3, 0.1] {
-        let composed =
-            compose::stack(&stack, &assets.volume.bounds_in_world(), Resolution::Within(bound), Storage::F32, &compose::evaluate).unwrap().unwrap();
+        let composed = compose::stack(
+            &stack,
+            &assets.volume.bounds_in_world(),
+            Resolution::Within(bound),
+            Storage::F32,
+            &compose::evaluate,
+        )
+        .unwrap()
+        .unwrap();
         let texels = composed.placed.map.size.iter().product::<usize>();
         let worst = composed.worst_mm;
-        assert!(composed.within && worst <= bound && texels >= last, "{worst} mm for {bound} with {texels} texels");
-        println!("composed within {bound} mm: {:?} texels, worst {worst:.3} mm, 99 % {:.3} mm", composed.placed.map.size, composed.p99_mm);
+        assert!(
+            composed.within && worst <= bound && texels >= last,
+            "{worst} mm for {bound} with {texels} texels"
+        );
+        println!(
+            "composed within {bound} mm: {:?} texels, worst {worst:.3} mm, 99 % {:.3} mm",
+            composed.placed.map.size, composed.p99_mm
+        );
         (last, first) = (texels, first.min(texels));
         // The error at independent points, away from cuts.
         let errors = points(4000)
@@ -57,7 +83,13 @@ pub fn composition_keeps_its_bound() {
                 let (source, alpha) = stack.source_and_alpha_unclipped(*p);
                 alpha == 1.0 && source.abs().max_element() < 80.0
             })
-            .map(|p| composed.placed.backward(p).0.distance(stack.source_and_alpha_unclipped(p).0));
+            .map(|p| {
+                composed
+                    .placed
+                    .backward(p)
+                    .0
+                    .distance(stack.source_and_alpha_unclipped(p).0)
+            });
         let worst = errors.fold(0.0, f32::max);
         assert!(worst <= bound, "{worst} for {bound}");
     }
@@ -68,10 +100,24 @@ pub fn composition_keeps_its_bound() {
 /// those of one map.
 pub fn composed_stacks_are_one_map() {
     let mut scene = Scene::of_volume("phantom:tomato:size=64");
-    for kind in ["wave", "twist", "bulge", "spline-pull", "planar-wave", "taper", "shear", "lattice"] {
-        let mut d = Deformation { progress: Some(0.3), ..Deformation::new(kind) };
+    for kind in [
+        "wave",
+        "twist",
+        "bulge",
+        "spline-pull",
+        "planar-wave",
+        "taper",
+        "shear",
+        "lattice",
+    ] {
+        let mut d = Deformation {
+            progress: Some(0.3),
+            ..Deformation::new(kind)
+        };
         if kind == "lattice" {
-            d.parameters = incise::deform::kinds::kind(kind).unwrap().example(&incise::math::Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0)));
+            d.parameters = incise::deform::kinds::kind(kind)
+                .unwrap()
+                .example(&incise::math::Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0)));
         }
         scene.deformation.push(d);
     }
@@ -80,14 +126,20 @@ pub fn composed_stacks_are_one_map() {
     let prepared = Prepared::new(&scene, &assets).unwrap();
     let c = prepared.composition.unwrap();
     println!("eight maps: {c:?}");
-    assert!(prepared.stack.precomposed().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5, "{c:?}");
+    assert!(
+        prepared.stack.precomposed().is_some() && c.maps == 8 && c.composed && c.worst_mm <= 0.5,
+        "{c:?}"
+    );
 }
 
 /// An intersection with a cut of progress 0 removes nothing; a union with it removes the rest.
 pub fn groups_with_a_vanished_member() {
     let mut scene = Scene::of_volume("phantom:ball:size=32");
     let cut = |kind: &str, combine: &str, progress: f32| {
-        let mut d = Deformation { progress: Some(progress), ..Deformation::new(kind) };
+        let mut d = Deformation {
+            progress: Some(progress),
+            ..Deformation::new(kind)
+        };
         d.parameters.insert("group", "g");
         d.parameters.insert("combine", combine);
         d
@@ -96,6 +148,10 @@ pub fn groups_with_a_vanished_member() {
         scene.deformation = vec![cut("box", combine, 1.0), cut("sphere", "or", progress)];
         let assets = assets(&scene);
         let (_, cuts) = stack_of(&scene, &assets, None);
-        assert_eq!(cuts.signed_distance_mm(Vec3::new(3.0, 2.0, 1.0)) < 0.0, removed, "{combine} {progress}");
+        assert_eq!(
+            cuts.signed_distance_mm(Vec3::new(3.0, 2.0, 1.0)) < 0.0,
+            removed,
+            "{combine} {progress}"
+        );
     }
 }

@@ -14,7 +14,11 @@ use std::path::Path;
 
 /// The outcome of a scene.
 pub(super) enum Outcome {
-    Picture { assets: Box<Assets>, scene: Box<Scene>, rendered: Rendered },
+    Picture {
+        assets: Box<Assets>,
+        scene: Box<Scene>,
+        rendered: Rendered,
+    },
     Refused(String),
 }
 
@@ -27,7 +31,11 @@ pub(super) fn run(text: &str, folder: &Path) -> Outcome {
         let prepared = Prepared::new(&scene, &assets)?;
         let rendered = cpu::render(&prepared);
         drop(prepared);
-        Ok(Outcome::Picture { assets: Box::new(assets), scene: Box::new(scene), rendered })
+        Ok(Outcome::Picture {
+            assets: Box::new(assets),
+            scene: Box::new(scene),
+            rendered,
+        })
     };
     attempt().unwrap_or_else(|error| Outcome::Refused(error.printable().to_string()))
 }
@@ -35,24 +43,37 @@ pub(super) fn run(text: &str, folder: &Path) -> Outcome {
 /// What is wrong with an outcome; none if nothing is.
 pub(super) fn complaint(outcome: &Outcome) -> Option<String> {
     match outcome {
-        Outcome::Refused(message) if message.trim().is_empty() || message.trim().lines().count() != 1 => Some(format!("the message is {message:?}")),
-        Outcome::Refused(message) if message.contains("Texts(") || message.contains("Number(") || message.contains("Some(") => {
+        Outcome::Refused(message) if message.trim().is_empty() || message.trim().lines().count() != 1 => {
+            Some(format!("the message is {message:?}"))
+        }
+        Outcome::Refused(message)
+            if message.contains("Texts(") || message.contains("Number(") || message.contains("Some(") =>
+        {
             Some(format!("the message speaks of the program's insides: {message}"))
         }
         Outcome::Refused(_) => None,
         Outcome::Picture { rendered, .. } => {
             let picture: &Picture = &rendered.picture;
-            if let Some(bad) = picture.pixels.iter().find(|p| !p.iter().all(|v| v.is_finite() && (-0.01..=1.01).contains(v))) {
+            if let Some(bad) = picture
+                .pixels
+                .iter()
+                .find(|p| !p.iter().all(|v| v.is_finite() && (-0.01..=1.01).contains(v)))
+            {
                 return Some(format!("a pixel is {bad:?}"));
             }
-            (picture.is_blank() && rendered.notices.is_empty()).then(|| "the picture is empty, and nothing is said".to_owned())
+            (picture.is_blank() && rendered.notices.is_empty())
+                .then(|| "the picture is empty, and nothing is said".to_owned())
         }
     }
 }
 
 /// Compares the GPU's picture with the CPU's; none without a GPU.
 #[cfg(feature = "gpu")]
-pub(super) fn on_a_gpu(scene: &Scene, assets: &Assets, picture: &Picture) -> Option<std::result::Result<(), String>> {
+pub(super) fn on_a_gpu(
+    scene: &Scene,
+    assets: &Assets,
+    picture: &Picture,
+) -> Option<std::result::Result<(), String>> {
     if !crate::parity::has_renderer() {
         return None;
     }
@@ -74,7 +95,11 @@ pub(super) fn on_a_gpu(scene: &Scene, assets: &Assets, picture: &Picture) -> Opt
     Some(if agrees {
         Ok(())
     } else {
-        Err(format!("the GPU's picture differs: mean {:.2}/255, {:.2} % within 4/255", difference.mean / STEP, 100.0 * difference.within_4))
+        Err(format!(
+            "the GPU's picture differs: mean {:.2}/255, {:.2} % within 4/255",
+            difference.mean / STEP,
+            100.0 * difference.within_4
+        ))
     })
 }
 

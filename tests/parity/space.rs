@@ -21,7 +21,11 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
         let (source, alpha) = prepared.stack.source_and_alpha(p);
         let at = prepared.volume().voxel_from_world.transform_point3(source);
         let top = Vec3::from(grid.size.map(|n| n as f32)) - 0.5;
-        if alpha < 0.5 || prepared.cuts.signed_distance_mm(p) < 0.0 || at.cmplt(Vec3::splat(-0.5)).any() || at.cmpgt(top).any() {
+        if alpha < 0.5
+            || prepared.cuts.signed_distance_mm(p) < 0.0
+            || at.cmplt(Vec3::splat(-0.5)).any()
+            || at.cmpgt(top).any()
+        {
             return 0.0;
         }
         let value = match &grid.voxels {
@@ -39,13 +43,29 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
     for n in 0..cells.distance.len() {
         let b = cells.cell_box(n);
         for corner in 0..9 {
-            let share = if corner == 8 { Vec3::splat(0.5) } else { Vec3::new((corner & 1) as f32, (corner >> 1 & 1) as f32, (corner >> 2) as f32) };
+            let share = if corner == 8 {
+                Vec3::splat(0.5)
+            } else {
+                Vec3::new(
+                    (corner & 1) as f32,
+                    (corner >> 1 & 1) as f32,
+                    (corner >> 2) as f32,
+                )
+            };
             let p = b.min + b.size() * share;
             if !cells.is_occupied(n) {
-                assert!(depth_at(p) < 1e-5, "{name}: something shows at {p}, in an empty cell: {}", depth_at(p));
+                assert!(
+                    depth_at(p) < 1e-5,
+                    "{name}: something shows at {p}, in an empty cell: {}",
+                    depth_at(p)
+                );
             } else if cells.distance[n] == 255 {
                 let jet = maps.jet(p);
-                assert!(jet.alpha == 1.0 && jet.cut.distance_mm == f32::INFINITY, "{name}: a cut at {p}, in a clear cell: {:?}", jet.cut);
+                assert!(
+                    jet.alpha == 1.0 && jet.cut.distance_mm == f32::INFINITY,
+                    "{name}: a cut at {p}, in a clear cell: {:?}",
+                    jet.cut
+                );
             }
         }
     }
@@ -61,7 +81,10 @@ fn scenes_with_empty_space() -> Vec<(String, Scene)> {
         (name.to_owned(), scene)
     };
     let mut many = Scene::of_volume("phantom:tomato:size=64");
-    for (n, kind) in ["wave", "twist", "pull", "seam", "slab", "peel"].into_iter().enumerate() {
+    for (n, kind) in ["wave", "twist", "pull", "seam", "slab", "peel"]
+        .into_iter()
+        .enumerate()
+    {
         let d = Deformation {
             progress: Some(0.4),
             resolution: Some(32),
@@ -72,13 +95,22 @@ fn scenes_with_empty_space() -> Vec<(String, Scene)> {
         many.deformation.push(d);
     }
     let mut composed = Scene::of_volume("phantom:tomato:size=64");
-    for (n, kind) in ["wave", "twist", "bulge", "spline-pull", "wave"].into_iter().enumerate() {
-        let d = Deformation { progress: Some(0.25), rotate: Some([15.0 * n as f32, 25.0, 0.0]), ..Deformation::new(kind) };
+    for (n, kind) in ["wave", "twist", "bulge", "spline-pull", "wave"]
+        .into_iter()
+        .enumerate()
+    {
+        let d = Deformation {
+            progress: Some(0.25),
+            rotate: Some([15.0 * n as f32, 25.0, 0.0]),
+            ..Deformation::new(kind)
+        };
         composed.deformation.push(d);
     }
     composed.render.precompose = Some(4.0);
     let mut shapes = Scene::of_volume("phantom:head-ct:size=64");
-    shapes.deformation = ["twist", "sphere", "box", "wedge", "cylinder"].map(Deformation::new).to_vec();
+    shapes.deformation = ["twist", "sphere", "box", "wedge", "cylinder"]
+        .map(Deformation::new)
+        .to_vec();
     shapes.deformation[1].center = Some([40.0, -50.0, 10.0]);
     vec![
         small("head-peel", &|_| ()),
@@ -86,7 +118,9 @@ fn scenes_with_empty_space() -> Vec<(String, Scene)> {
         small("head-grey-cuts", &|_| ()),
         small("head-surface-peel", &|_| ()),
         small("head-iso", &|_| ()),
-        small("tomato-peel-then-wave", &|s| s.transfer.preset = Some("ct-mip".into())),
+        small("tomato-peel-then-wave", &|s| {
+            s.transfer.preset = Some("ct-mip".into())
+        }),
         small("teddy-seam", &|s| s.render.preintegrated = true),
         small("brain-labels", &|_| ()),
         ("six maps".to_owned(), many),
@@ -104,7 +138,9 @@ pub(super) fn empty_space_agrees() {
         let assets = scenes::assets(&scene);
         let by_cpu = Prepared::new(&scene, &assets).unwrap();
         let again = scenes::assets(&scene);
-        let by_device = with_strategy(PREPARE, |r| Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap());
+        let by_device = with_strategy(PREPARE, |r| {
+            Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap()
+        });
         let (a, b) = (&by_cpu.volume().macrocells, &by_device.volume().macrocells);
         assert_eq!(a.size, b.size, "{name}");
         let clear = |d: u8| d == 255;
@@ -118,20 +154,40 @@ pub(super) fn empty_space_agrees() {
             also_clear += usize::from(clear(d) && shown && !clear(c));
         }
         let clear_in_cpus = a.distance.iter().filter(|d| clear(**d)).count();
-        println!("{name}: {both} cells in both, {more} more, {lost} lost; clear {clear_in_both} of {clear_in_cpus}, {also_clear} more");
+        println!(
+            "{name}: {both} cells in both, {more} more, {lost} lost; clear {clear_in_both} of {clear_in_cpus}, {also_clear} more"
+        );
         // CPU and device merge boxes of texels differently, and split boxes at the faces of a cube
         // differently; the difference is largest for six maps.
-        assert!(both > 500 && lost * 50 <= both && more * 4 <= both, "{name}: {both} {more} {lost}");
-        assert!(also_clear * 20 <= both && clear_in_both * 10 >= clear_in_cpus * 9, "{name}: {clear_in_both} of {clear_in_cpus}, {also_clear}");
+        assert!(
+            both > 500 && lost * 50 <= both && more * 4 <= both,
+            "{name}: {both} {more} {lost}"
+        );
+        assert!(
+            also_clear * 20 <= both && clear_in_both * 10 >= clear_in_cpus * 9,
+            "{name}: {clear_in_both} of {clear_in_cpus}, {also_clear}"
+        );
         empty_is_empty(&name, &by_device);
         agree(&format!("{name}, prepared by the device"), &by_device);
         // Skipped cells would have been transparent.
-        let picture = |prepared: &Prepared| with_strategy(PREPARE, |r| r.render(prepared, false, &Watch::NONE).unwrap()).picture;
+        let picture = |prepared: &Prepared| {
+            with_strategy(PREPARE, |r| r.render(prepared, false, &Watch::NONE).unwrap()).picture
+        };
         let skipping = picture(&by_device);
         scene.render.empty_space_skipping = false;
-        let whole = with_strategy(PREPARE, |r| Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap());
+        let whole = with_strategy(PREPARE, |r| {
+            Prepared::with(&scene, &again, &PrepareOptions::on(r)).unwrap()
+        });
         let d = difference(&skipping, &picture(&whole)).unwrap();
-        println!("{name}: skipping changes mean {:.5}/255, max {:.3}/255", d.mean / STEP, d.max / STEP);
-        assert!(d.max <= 0.51 * STEP, "{name}: skipping changes the picture by {}/255", d.max / STEP);
+        println!(
+            "{name}: skipping changes mean {:.5}/255, max {:.3}/255",
+            d.mean / STEP,
+            d.max / STEP
+        );
+        assert!(
+            d.max <= 0.51 * STEP,
+            "{name}: skipping changes the picture by {}/255",
+            d.max / STEP
+        );
     }
 }

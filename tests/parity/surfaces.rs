@@ -11,17 +11,32 @@ use incise::{Watch, cpu};
 
 /// Surface depths: within a thousandth of the box of the CPU's where both hit.
 pub(super) fn surface_depths_agree() {
-    for name in ["bunny-twist", "bunny-two-stage", "bunny-deformers", "apple-hollow", "apple-thick", "apple-solid", "gyroid", "head-skin-peel"] {
+    for name in [
+        "bunny-twist",
+        "bunny-two-stage",
+        "bunny-deformers",
+        "apple-hollow",
+        "apple-thick",
+        "apple-solid",
+        "gyroid",
+        "head-skin-peel",
+    ] {
         let mut scene = scenes::load(name);
         scene.render.size = [192, 192];
         scene.render.antialias = 1;
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        let by_gpu = with_renderer(|r| r.surface_distances(&prepared).unwrap_or_else(|e| panic!("{name}: {e}")));
+        let by_gpu = with_renderer(|r| {
+            r.surface_distances(&prepared)
+                .unwrap_or_else(|e| panic!("{name}: {e}"))
+        });
         let bound = 1e-3 * assets.scene_box().size().length();
         let (mut off, mut seen, mut worst) = (0, 0, 0.0f32);
         for (n, &t) in by_gpu.iter().enumerate() {
-            let (u, v) = (((n % 192) as f32 + 0.5) / 96.0 - 1.0, 1.0 - ((n / 192) as f32 + 0.5) / 96.0);
+            let (u, v) = (
+                ((n % 192) as f32 + 0.5) / 96.0 - 1.0,
+                1.0 - ((n / 192) as f32 + 0.5) / 96.0,
+            );
             let (o, d) = prepared.frame.view.ray(u, v);
             let want = cpu::surface::nearest(&prepared, o, d, &mut 0).map_or(f32::INFINITY, |h| h.t);
             seen += usize::from(want.is_finite());
@@ -31,7 +46,9 @@ pub(super) fn surface_depths_agree() {
                 worst = worst.max((t - want).abs());
             }
         }
-        println!("{name}: {seen} pixels, {off} beyond {bound:.3} mm (silhouettes and edges), the others within {worst:.4} mm");
+        println!(
+            "{name}: {seen} pixels, {off} beyond {bound:.3} mm (silhouettes and edges), the others within {worst:.4} mm"
+        );
         // A ray that grazes an edge may hit on one backend and miss on the other.
         assert!(seen > 2000 && off * 500 < seen, "{name}: {off} of {seen}");
     }
@@ -74,7 +91,11 @@ pub(super) fn surface_options_agree() {
         }
     };
     for (kind, _, _) in DEFORMERS {
-        for normals in [NormalMethod::InverseTranspose, NormalMethod::Tangent, NormalMethod::Numeric] {
+        for normals in [
+            NormalMethod::InverseTranspose,
+            NormalMethod::Tangent,
+            NormalMethod::Numeric,
+        ] {
             let mut scene = small("bunny-deformers");
             scene.mesh[0].normals = normals;
             scene.mesh[0].deformer = vec![DeformerSource {
@@ -83,8 +104,15 @@ pub(super) fn surface_options_agree() {
                 size: None,
                 rotate: Some([0.0, 30.0, 10.0]),
                 progress: Some(0.9),
-                points: if kind == "lattice" { vec![[1.0, 1.0, 3.0, 10.0, 5.0, 30.0], [3.0, 2.0, 0.0, -5.0, 20.0, 0.0]] } else { vec![] },
-                numbers: numbers(kind).into_iter().map(|(n, v)| (n.to_owned(), v)).collect(),
+                points: if kind == "lattice" {
+                    vec![[1.0, 1.0, 3.0, 10.0, 5.0, 30.0], [3.0, 2.0, 0.0, -5.0, 20.0, 0.0]]
+                } else {
+                    vec![]
+                },
+                numbers: numbers(kind)
+                    .into_iter()
+                    .map(|(n, v)| (n.to_owned(), v))
+                    .collect(),
             }];
             check(&format!("{kind}, normals {normals:?}"), &scene);
         }
@@ -102,5 +130,7 @@ pub(super) fn surface_options_agree() {
 /// Slices, rays and surface rays on the device: the silhouettes of a solid ball under one
 /// deformation agree with the CPU's surface to within a pixel.
 pub(super) fn one_deformation_on_the_gpu() {
-    crate::surfaces::three_silhouettes(&|prepared| with_renderer(|r| r.render(prepared, false, &Watch::NONE).unwrap()).picture);
+    crate::surfaces::three_silhouettes(&|prepared| {
+        with_renderer(|r| r.render(prepared, false, &Watch::NONE).unwrap()).picture
+    });
 }

@@ -25,7 +25,13 @@ pub fn distances_of_closed_forms() {
     for (name, mesh, want) in forms {
         let turn = Affine3A::from_rotation_x(0.3) * Affine3A::from_rotation_z(0.5);
         let back = turn.inverse();
-        let f = field(&mesh.transformed(&turn), FieldSettings { resolution: 64, ..FieldSettings::default() });
+        let f = field(
+            &mesh.transformed(&turn),
+            FieldSettings {
+                resolution: 64,
+                ..FieldSettings::default()
+            },
+        );
         let cell = f.grid.spacing_mm();
         let (mut band, mut beyond, mut wrong) = (0.0f32, 0.0f32, 0);
         for (p, d) in grid_points(&f) {
@@ -40,11 +46,24 @@ pub fn distances_of_closed_forms() {
             }
             wrong += usize::from((d > 0.0) != (want > 0.0) && want.abs() > 0.02 * cell);
         }
-        println!("{name}: largest error {band:.4} cells in the band, {beyond:.3} beyond; {wrong} wrong signs; residual {:?}", f.eikonal);
+        println!(
+            "{name}: largest error {band:.4} cells in the band, {beyond:.3} beyond; {wrong} wrong signs; residual {:?}",
+            f.eikonal
+        );
         assert!(band <= 0.05 && beyond < 0.5 && wrong == 0, "{name}");
     }
-    let exact = field(&shapes::sphere(10.0, 200), FieldSettings { resolution: 40, exact: true, ..FieldSettings::default() });
-    let worst = grid_points(&exact).map(|(p, d)| (d - (10.0 - p.length())).abs()).fold(0.0, f32::max) / exact.grid.spacing_mm();
+    let exact = field(
+        &shapes::sphere(10.0, 200),
+        FieldSettings {
+            resolution: 40,
+            exact: true,
+            ..FieldSettings::default()
+        },
+    );
+    let worst = grid_points(&exact)
+        .map(|(p, d)| (d - (10.0 - p.length())).abs())
+        .fold(0.0, f32::max)
+        / exact.grid.spacing_mm();
     assert!(worst <= 0.05, "exact everywhere: {worst}");
 }
 
@@ -63,15 +82,32 @@ pub fn broken_meshes_keep_their_inside() {
     for (t, triangle) in whole.triangles.iter().enumerate() {
         let first = soup.positions.len() as u32;
         let p = triangle.map(|v| whole.positions[v as usize]);
-        soup.positions.extend(p.map(|q| q * (1.0 + 1e-3 * (t % 3) as f32)));
+        soup.positions
+            .extend(p.map(|q| q * (1.0 + 1e-3 * (t % 3) as f32)));
         soup.triangles.push([first, first + 1, first + 2]);
     }
     let mut turned = ball();
-    turned.triangles.iter_mut().enumerate().filter(|(n, _)| n % 5 < 2).for_each(|(_, t)| t.swap(0, 1));
+    turned
+        .triangles
+        .iter_mut()
+        .enumerate()
+        .filter(|(n, _)| n % 5 < 2)
+        .for_each(|(_, t)| t.swap(0, 1));
     let mut inward = ball();
     inward.triangles.iter_mut().for_each(|t| t.swap(0, 1));
-    for (name, mesh) in [("holes", holes), ("soup", soup), ("contradicting", turned), ("inward", inward)] {
-        let f = field(&mesh, FieldSettings { resolution: 48, ..FieldSettings::default() });
+    for (name, mesh) in [
+        ("holes", holes),
+        ("soup", soup),
+        ("contradicting", turned),
+        ("inward", inward),
+    ] {
+        let f = field(
+            &mesh,
+            FieldSettings {
+                resolution: 48,
+                ..FieldSettings::default()
+            },
+        );
         let cell = f.grid.spacing_mm();
         let (mut wrong, mut all) = (0, 0);
         for (p, d) in grid_points(&f) {
@@ -82,7 +118,10 @@ pub fn broken_meshes_keep_their_inside() {
             }
             let at = f.grid.grid_from_world.transform_point3(p).round();
             let top = Vec3::from(f.grid.size.map(|n| (n - 1) as f32));
-            assert!(d < 0.0 || !(at.cmple(Vec3::ZERO).any() || at.cmpge(top).any()), "{name} leaks");
+            assert!(
+                d < 0.0 || !(at.cmple(Vec3::ZERO).any() || at.cmpge(top).any()),
+                "{name} leaks"
+            );
         }
         println!("{name}: {wrong} of {all} signs wrong, doubtful {:.3}", f.doubtful);
         assert!(wrong * 200 < all, "{name}: {wrong} of {all}");
@@ -92,12 +131,29 @@ pub fn broken_meshes_keep_their_inside() {
 /// The field of a region equals that region of the whole field.
 pub fn a_part_is_part_of_the_whole() {
     let mesh = shapes::torus(10.0, 3.0, 100);
-    let whole = field(&mesh, FieldSettings { resolution: 96, ..FieldSettings::default() });
+    let whole = field(
+        &mesh,
+        FieldSettings {
+            resolution: 96,
+            ..FieldSettings::default()
+        },
+    );
     let region = Bounds::new(Vec3::new(4.0, -6.0, -4.0), Vec3::new(14.0, 6.0, 4.0));
-    let part = field(&mesh, FieldSettings { resolution: 96, region: Some(region), ..FieldSettings::default() });
+    let part = field(
+        &mesh,
+        FieldSettings {
+            resolution: 96,
+            region: Some(region),
+            ..FieldSettings::default()
+        },
+    );
     assert!(part.grid.distance_mm.len() * 3 < whole.grid.distance_mm.len());
     for (p, d) in grid_points(&part) {
-        assert!((d - whole.grid.sample(p)).abs() < 0.06 * part.grid.spacing_mm() || d.abs() > 2.0 * part.grid.spacing_mm(), "{p}: {d}");
+        assert!(
+            (d - whole.grid.sample(p)).abs() < 0.06 * part.grid.spacing_mm()
+                || d.abs() > 2.0 * part.grid.spacing_mm(),
+            "{p}: {d}"
+        );
     }
 }
 
@@ -105,22 +161,46 @@ pub fn a_part_is_part_of_the_whole() {
 /// wherever it lies.
 pub fn thin_flat_and_far_things() {
     let mut half = shapes::sphere(10.0, 40);
-    half.triangles.retain(|t| t.iter().all(|v| half.positions[*v as usize].z > -0.1));
+    half.triangles
+        .retain(|t| t.iter().all(|v| half.positions[*v as usize].z > -0.1));
     half.triangles.iter_mut().for_each(|t| t.swap(0, 1));
     for z in [0.0, -100.0] {
         let moved = half.clone().transformed(&Affine3A::from_translation(Vec3::Z * z));
-        let f = field(&moved, FieldSettings { resolution: 40, ..FieldSettings::default() });
-        assert!(f.grid.sample(Vec3::new(0.0, 0.0, z + 6.0)) > 0.0 && f.inside > 0.1, "{z}: {}", f.inside);
+        let f = field(
+            &moved,
+            FieldSettings {
+                resolution: 40,
+                ..FieldSettings::default()
+            },
+        );
+        assert!(
+            f.grid.sample(Vec3::new(0.0, 0.0, z + 6.0)) > 0.0 && f.inside > 0.1,
+            "{z}: {}",
+            f.inside
+        );
     }
     // A region far from every surface still has correct distances.
-    let part = FieldSettings { cell_mm: Some(0.5), region: Some(Bounds::new(Vec3::splat(-1.0), Vec3::splat(1.0))), ..FieldSettings::default() };
+    let part = FieldSettings {
+        cell_mm: Some(0.5),
+        region: Some(Bounds::new(Vec3::splat(-1.0), Vec3::splat(1.0))),
+        ..FieldSettings::default()
+    };
     let f = field(&shapes::sphere(10.0, 60), part);
     assert!(grid_points(&f).all(|(p, d)| (d - (10.0 - p.length())).abs() < 0.05));
     let folder = tempfile::tempdir().unwrap();
     let sheet = write_off(
         folder.path(),
         "sheet.off",
-        &Mesh::new(vec![Vec3::ZERO, Vec3::X * 50.0, Vec3::new(50.0, 50.0, 0.0), Vec3::Y * 50.0], vec![[0, 1, 2], [0, 2, 3]], vec![]),
+        &Mesh::new(
+            vec![
+                Vec3::ZERO,
+                Vec3::X * 50.0,
+                Vec3::new(50.0, 50.0, 0.0),
+                Vec3::Y * 50.0,
+            ],
+            vec![[0, 1, 2], [0, 2, 3]],
+            vec![],
+        ),
     );
     let mut scene = Scene::of_mesh(sheet.to_str().unwrap());
     scene.mesh[0].tessellate = Some(0.2);

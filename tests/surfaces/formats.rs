@@ -24,12 +24,19 @@ fn point(p: &Vec3) -> String {
 
 /// The coordinates of points as 32-bit floats, little-endian.
 fn floats(p: &[Vec3]) -> Vec<u8> {
-    p.iter().flat_map(|p| p.to_array()).flat_map(f32::to_le_bytes).collect()
+    p.iter()
+        .flat_map(|p| p.to_array())
+        .flat_map(f32::to_le_bytes)
+        .collect()
 }
 
 /// The corners of all triangles as 32-bit integers, little-endian.
 fn indices(mesh: &Mesh) -> Vec<u8> {
-    mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect()
+    mesh.triangles
+        .iter()
+        .flatten()
+        .flat_map(|i| i.to_le_bytes())
+        .collect()
 }
 
 /// Bytes in base64.
@@ -59,7 +66,12 @@ fn stl(mesh: &Mesh) -> (Vec<u8>, Vec<u8>) {
 /// A mesh as OBJ.
 fn obj(mesh: &Mesh) -> String {
     let (v, f) = (&mesh.positions, &mesh.triangles);
-    lines(v.iter().map(|p| format!("v {}", point(p))).chain(f.iter().map(|t| format!("f {}", face(t, 1)))).collect())
+    lines(
+        v.iter()
+            .map(|p| format!("v {}", point(p)))
+            .chain(f.iter().map(|t| format!("f {}", face(t, 1))))
+            .collect(),
+    )
 }
 
 /// A mesh as OFF.
@@ -84,7 +96,9 @@ fn ply(mesh: &Mesh) -> (Vec<u8>, Vec<u8>) {
             f.len()
         )
     };
-    let text_ply = ply_head("ascii") + &lines(v.iter().map(point).collect()) + &lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect());
+    let text_ply = ply_head("ascii")
+        + &lines(v.iter().map(point).collect())
+        + &lines(f.iter().map(|t| format!("3 {}", face(t, 0))).collect());
     let mut binary_ply = ply_head("binary_little_endian").into_bytes();
     binary_ply.extend(floats(v));
     for t in f {
@@ -129,14 +143,28 @@ fn gifti(mesh: &Mesh, compress: bool) -> String {
     let array = |intent: &str, kind: &str, rows: usize, bytes: &[u8]| {
         format!(
             r#"<DataArray Intent="{intent}" DataType="{kind}" ArrayIndexingOrder="RowMajorOrder" Dimensionality="2" Dim0="{rows}" Dim1="3" Encoding="{}" Endian="LittleEndian"><Data>{}</Data></DataArray>"#,
-            if compress { "GZipBase64Binary" } else { "Base64Binary" },
+            if compress {
+                "GZipBase64Binary"
+            } else {
+                "Base64Binary"
+            },
             pack(bytes)
         )
     };
     format!(
         "<?xml version=\"1.0\"?>\n<GIFTI Version=\"1.0\" NumberOfDataArrays=\"2\">{}{}</GIFTI>",
-        array("NIFTI_INTENT_POINTSET", "NIFTI_TYPE_FLOAT32", ras.len(), &floats(&ras)),
-        array("NIFTI_INTENT_TRIANGLE", "NIFTI_TYPE_INT32", f.len(), &indices(mesh))
+        array(
+            "NIFTI_INTENT_POINTSET",
+            "NIFTI_TYPE_FLOAT32",
+            ras.len(),
+            &floats(&ras)
+        ),
+        array(
+            "NIFTI_INTENT_TRIANGLE",
+            "NIFTI_TYPE_INT32",
+            f.len(),
+            &indices(mesh)
+        )
     )
 }
 
@@ -164,11 +192,21 @@ pub fn every_format_is_one_mesh() {
     for (name, ending, bytes) in &files {
         let read = load::parse(bytes, ending, None).unwrap_or_else(|e| panic!("{name} {e}"));
         let (a, b) = (read.topology(), mesh.topology());
-        assert!(a.watertight && a.orientation() == "outward" && a.components == 1, "{name}: {a:?}");
-        assert_eq!((read.triangles.len(), read.positions.len()), (f.len(), v.len()), "{name}");
+        assert!(
+            a.watertight && a.orientation() == "outward" && a.components == 1,
+            "{name}: {a:?}"
+        );
+        assert_eq!(
+            (read.triangles.len(), read.positions.len()),
+            (f.len(), v.len()),
+            "{name}"
+        );
         assert!((a.volume / b.volume - 1.0).abs() < 1e-5, "{name}");
         let (got, want) = (read.bounds(), mesh.bounds());
-        assert!(got.min.abs_diff_eq(want.min, 1e-4) && got.max.abs_diff_eq(want.max, 1e-4), "{name}: {got:?}");
+        assert!(
+            got.min.abs_diff_eq(want.min, 1e-4) && got.max.abs_diff_eq(want.max, 1e-4),
+            "{name}: {got:?}"
+        );
     }
     // A file truncated anywhere, or with a byte changed, is read with a warning or refused.
     let mut refused = 0;
@@ -188,7 +226,12 @@ pub fn every_format_is_one_mesh() {
     check_cube();
     let huge = load::parse(b"OFF\n353535235358 6 0\n0 0 0\n", "off", None).unwrap_err();
     assert!(huge.contains("353535235358"), "{huge}");
-    let huge = load::parse(b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n0\n", "ply", None).unwrap_err();
+    let huge = load::parse(
+        b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n0\n",
+        "ply",
+        None,
+    )
+    .unwrap_err();
     assert!(huge.contains("99999999999"), "{huge}");
 }
 
@@ -196,7 +239,9 @@ pub fn every_format_is_one_mesh() {
 fn check_broken_gltf() {
     let head = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],"#;
     let data = r#""bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
-    let nodes: Vec<String> = (0..60).map(|n| format!(r#"{{"children":[{},{}]}}"#, n + 1, n + 1)).collect();
+    let nodes: Vec<String> = (0..60)
+        .map(|n| format!(r#"{{"children":[{},{}]}}"#, n + 1, n + 1))
+        .collect();
     for (what, text) in [
         (
             "not there",
@@ -230,14 +275,27 @@ fn check_broken_gltf() {
 /// Checks files that other programs accept: an upper-case STL, a name in Latin-1.
 fn check_files_of_other_programs() {
     let upper = "SOLID x\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\nENDLOOP\nENDFACET\nENDSOLID x\n";
-    assert_eq!(load::parse(upper.as_bytes(), "stl", None).unwrap().triangles.len(), 1);
+    assert_eq!(
+        load::parse(upper.as_bytes(), "stl", None)
+            .unwrap()
+            .triangles
+            .len(),
+        1
+    );
     let latin = b"g K\xf6rper\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
     assert_eq!(load::parse(latin, "obj", None).unwrap().triangles.len(), 1);
 }
 
 /// Checks the inside of a cube whose face diagonals lie on the grid's lines.
 fn check_cube() {
-    let cube = field(&shapes::cuboid(Vec3::splat(10.0)), FieldSettings { resolution: 64, parity: true, ..FieldSettings::default() });
+    let cube = field(
+        &shapes::cuboid(Vec3::splat(10.0)),
+        FieldSettings {
+            resolution: 64,
+            parity: true,
+            ..FieldSettings::default()
+        },
+    );
     for (p, d) in grid_points(&cube) {
         let want = 10.0 - p.abs().max_element();
         assert!(want.abs() < 0.1 || (d > 0.0) == (want > 0.0), "{p}: {d}");
@@ -273,5 +331,17 @@ pub fn shared_meshes_load_or_say_why() {
     }
     refused.sort();
     println!("{read} read; refused: {refused:?}");
-    assert_eq!(refused, ["OutOfMemory.off", "empty.obj", "empty.off", "empty.ply", "empty.stl", "invalid.off", "malformed.obj", "malformed2.obj"]);
+    assert_eq!(
+        refused,
+        [
+            "OutOfMemory.off",
+            "empty.obj",
+            "empty.off",
+            "empty.ply",
+            "empty.stl",
+            "invalid.off",
+            "malformed.obj",
+            "malformed2.obj"
+        ]
+    );
 }

@@ -49,12 +49,18 @@ struct WriterRun<'a> {
 impl WriterRun<'_> {
     /// A destination with the extension of the writer.
     fn place(&self, name: &str) -> PathBuf {
-        self.folder.join("places").join(format!("{name}.{}", self.writer.ending))
+        self.folder
+            .join("places")
+            .join(format!("{name}.{}", self.writer.ending))
     }
 
     /// The words of the writer with a destination in the place of `OUT`.
     fn arguments(&self, path: &Path) -> Vec<OsString> {
-        self.writer.words.split_whitespace().map(|w| if w == "OUT" { path.into() } else { w.into() }).collect()
+        self.writer
+            .words
+            .split_whitespace()
+            .map(|w| if w == "OUT" { path.into() } else { w.into() })
+            .collect()
     }
 
     /// Runs the writer with a destination.
@@ -65,27 +71,50 @@ impl WriterRun<'_> {
     /// Checks that a destination is accepted.
     fn succeeds(&self, path: &Path) {
         let output = self.run(path);
-        assert!(output.status.success(), "{:?}: {}", self.arguments(path), stderr(&output));
+        assert!(
+            output.status.success(),
+            "{:?}: {}",
+            self.arguments(path),
+            stderr(&output)
+        );
     }
 
-    /// Checks that a destination is refused with one line that contains a word, and that no file changes.
+    /// Checks that a destination is refused with one line that contains a word, and that no file
+    /// changes.
     fn refused(&self, path: &Path, word: &str) {
         let before = tree(self.folder);
         let output = self.run(path);
         let arguments = self.arguments(path);
-        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));
+        assert_eq!(
+            output.status.code(),
+            Some(1),
+            "{arguments:?}: {}",
+            stderr(&output)
+        );
         let message = stderr(&output);
-        assert!(message.contains(word) && message.trim_end().lines().filter(|l| l.contains(word)).count() == 1, "{arguments:?}: {message}");
+        assert!(
+            message.contains(word) && message.trim_end().lines().filter(|l| l.contains(word)).count() == 1,
+            "{arguments:?}: {message}"
+        );
         let after = tree(self.folder);
         // A report may be complete before writing its statistics fails.
         let report = self.folder.join("report");
-        let changed: Vec<_> = before.iter().filter(|b| !after.contains(b) && !b.0.starts_with(&report)).map(|b| &b.0).collect();
+        let changed: Vec<_> = before
+            .iter()
+            .filter(|b| !after.contains(b) && !b.0.starts_with(&report))
+            .map(|b| &b.0)
+            .collect();
         assert!(changed.is_empty(), "{arguments:?} changed {changed:?}");
     }
 
     /// Checks that a file holds all that the writer writes.
     fn complete(&self, path: &Path) {
-        assert!(is_complete(&std::fs::read(path).unwrap(), self.writer.ending), "{}: {}", self.writer.words, path.display());
+        assert!(
+            is_complete(&std::fs::read(path).unwrap(), self.writer.ending),
+            "{}: {}",
+            self.writer.words,
+            path.display()
+        );
     }
 
     /// A new file has the same mode as any program's new file.
@@ -106,7 +135,11 @@ impl WriterRun<'_> {
             self.complete(&path);
             assert_eq!(mode_of(&path), bits, "{}", self.writer.words);
             let owner = std::fs::metadata(&path).map(|m| (m.uid(), m.gid())).unwrap();
-            assert!(!given || owner == (1234, 4321), "{}: {owner:?}", self.writer.words);
+            assert!(
+                !given || owner == (1234, 4321),
+                "{}: {owner:?}",
+                self.writer.words
+            );
         }
     }
 
@@ -131,11 +164,17 @@ impl WriterRun<'_> {
         self.refused(&link, "read-only");
     }
 
-    /// Through a link its target is replaced, and the link stays; a dangling link creates its target.
+    /// Through a link its target is replaced, and the link stays; a dangling link creates its
+    /// target.
     fn check_links(&self) {
         std::fs::create_dir(self.folder.join("elsewhere")).unwrap();
         for (name, exists) in [("link", true), ("dangling", false)] {
-            let (link, target) = (self.place(name), self.folder.join("elsewhere").join(format!("{name}.{}", self.writer.ending)));
+            let (link, target) = (
+                self.place(name),
+                self.folder
+                    .join("elsewhere")
+                    .join(format!("{name}.{}", self.writer.ending)),
+            );
             if exists {
                 std::fs::write(&target, "old").unwrap();
             }
@@ -153,14 +192,26 @@ impl WriterRun<'_> {
         let from = pipe.clone();
         let reading = std::thread::spawn(move || std::fs::read(from).unwrap());
         self.succeeds(&pipe);
-        assert!(is_complete(&reading.join().unwrap(), self.writer.ending), "{}", self.writer.words);
-        assert!(std::fs::symlink_metadata(&pipe).unwrap().file_type().is_fifo(), "{}", self.writer.words);
+        assert!(
+            is_complete(&reading.join().unwrap(), self.writer.ending),
+            "{}",
+            self.writer.words
+        );
+        assert!(
+            std::fs::symlink_metadata(&pipe).unwrap().file_type().is_fifo(),
+            "{}",
+            self.writer.words
+        );
         let piped = self.place("link-to-pipe");
         symlink(&pipe, &piped).unwrap();
         let from = pipe.clone();
         let reading = std::thread::spawn(move || std::fs::read(from).unwrap());
         self.succeeds(&piped);
-        assert!(is_complete(&reading.join().unwrap(), self.writer.ending) && piped.is_symlink(), "{}", self.writer.words);
+        assert!(
+            is_complete(&reading.join().unwrap(), self.writer.ending) && piped.is_symlink(),
+            "{}",
+            self.writer.words
+        );
     }
 
     /// A device receives the whole content and is not replaced.
@@ -172,7 +223,14 @@ impl WriterRun<'_> {
             self.succeeds(&null);
             self.refused(&full, "No space left");
             for device in [&null, &full] {
-                assert!(std::fs::symlink_metadata(device).unwrap().file_type().is_char_device(), "{}", self.writer.words);
+                assert!(
+                    std::fs::symlink_metadata(device)
+                        .unwrap()
+                        .file_type()
+                        .is_char_device(),
+                    "{}",
+                    self.writer.words
+                );
             }
             assert_eq!(std::fs::symlink_metadata(&null).unwrap().rdev(), before);
         }
@@ -188,14 +246,27 @@ impl WriterRun<'_> {
             content
         });
         self.succeeds(&socket);
-        assert!(is_complete(&reading.join().unwrap(), self.writer.ending), "{}", self.writer.words);
-        assert!(std::fs::symlink_metadata(&socket).unwrap().file_type().is_socket(), "{}", self.writer.words);
+        assert!(
+            is_complete(&reading.join().unwrap(), self.writer.ending),
+            "{}",
+            self.writer.words
+        );
+        assert!(
+            std::fs::symlink_metadata(&socket)
+                .unwrap()
+                .file_type()
+                .is_socket(),
+            "{}",
+            self.writer.words
+        );
     }
 
     /// No input is overwritten, under any name.
     fn check_inputs(&self) {
         for input in self.writer.reads {
-            let endings = input.ends_with(self.writer.ending) || self.writer.words.contains("--stats OUT") || self.writer.words.contains("--csv OUT");
+            let endings = input.ends_with(self.writer.ending)
+                || self.writer.words.contains("--stats OUT")
+                || self.writer.words.contains("--csv OUT");
             if endings {
                 self.refused(&self.folder.join(input), "input");
                 // Through a path that uses the system's names for open files.
@@ -231,7 +302,13 @@ pub fn every_writer_into_every_place() {
         run.check_devices();
         run.check_socket();
         run.check_inputs();
-        assert!(!tree(f).iter().any(|(path, _)| path.to_string_lossy().ends_with(".part")), "{} left something", writer.words);
+        assert!(
+            !tree(f)
+                .iter()
+                .any(|(path, _)| path.to_string_lossy().ends_with(".part")),
+            "{} left something",
+            writer.words
+        );
     }
 }
 
@@ -243,21 +320,41 @@ pub fn standard_output_takes_a_picture() {
     let render = "render small.nii --backend cpu --size 16x16 -q -o";
     for name in ["-", "/dev/stdout"] {
         let output = incise(f, &words(&format!("{render} {name}")));
-        assert!(output.status.success() && is_complete(&output.stdout, "png"), "{name}: {}", stderr(&output));
+        assert!(
+            output.status.success() && is_complete(&output.stdout, "png"),
+            "{name}: {}",
+            stderr(&output)
+        );
     }
     let output = incise(f, &words(&format!("{render} picture.png --stats /dev/stdout")));
-    assert!(output.status.success() && is_complete(&output.stdout, "json"), "{}", stderr(&output));
+    assert!(
+        output.status.success() && is_complete(&output.stdout, "json"),
+        "{}",
+        stderr(&output)
+    );
     for more in ["--stats -", "--json", "--stats /dev/stdout"] {
         let output = incise(f, &words(&format!("{render} - {more}")));
-        assert!(output.status.code() == Some(1) && stderr(&output).contains("standard output"), "{}", stderr(&output));
+        assert!(
+            output.status.code() == Some(1) && stderr(&output).contains("standard output"),
+            "{}",
+            stderr(&output)
+        );
     }
-    for (a, b) in [("one.png", "one.png"), ("one.png", "./one.png"), ("one.png", "link.png")] {
+    for (a, b) in [
+        ("one.png", "one.png"),
+        ("one.png", "./one.png"),
+        ("one.png", "link.png"),
+    ] {
         let link = f.join("link.png");
         if !link.is_symlink() {
             symlink("one.png", link).unwrap();
         }
         let output = incise(f, &words(&format!("{render} {a} --stats {b}")));
-        assert!(output.status.code() == Some(1) && stderr(&output).contains("same file"), "{}", stderr(&output));
+        assert!(
+            output.status.code() == Some(1) && stderr(&output).contains("same file"),
+            "{}",
+            stderr(&output)
+        );
     }
 }
 
@@ -287,28 +384,51 @@ pub fn what_cannot_be_printed_is_an_error() {
         let output = command(f, &words(line)).stdout(full).output().unwrap();
         let message = stderr(&output);
         assert!(
-            output.status.code() == Some(1) && message.contains("standard output") && message.lines().count() == 1,
+            output.status.code() == Some(1)
+                && message.contains("standard output")
+                && message.lines().count() == 1,
             "{line}: {:?} {message}",
             output.status
         );
         let mut child = command(f, &words(line)).spawn().unwrap();
         drop(child.stdout.take());
         let output = child.wait_with_output().unwrap();
-        assert!(output.status.success() && output.stderr.is_empty(), "{line}: {}", stderr(&output));
+        assert!(
+            output.status.success() && output.stderr.is_empty(),
+            "{line}: {}",
+            stderr(&output)
+        );
         // Messages that cannot be printed are dropped, since the failure cannot be reported
         // anywhere.
         let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-        assert!(command(f, &words(line)).stderr(full).output().unwrap().status.success(), "{line}");
+        assert!(
+            command(f, &words(line))
+                .stderr(full)
+                .output()
+                .unwrap()
+                .status
+                .success(),
+            "{line}"
+        );
     }
     let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-    assert_eq!(command(f, &words("info nowhere.nii")).stderr(full).status().unwrap().code(), Some(1));
+    assert_eq!(
+        command(f, &words("info nowhere.nii"))
+            .stderr(full)
+            .status()
+            .unwrap()
+            .code(),
+        Some(1)
+    );
 }
 
 /// Whether this process, and thus each of its children, was started with a signal ignored; unknown
 /// counts as no.
 fn is_ignored(signal: rustix::process::Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored = status.lines().find_map(|l| u64::from_str_radix(l.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    let ignored = status
+        .lines()
+        .find_map(|l| u64::from_str_radix(l.strip_prefix("SigIgn:")?.trim(), 16).ok());
     ignored.is_some_and(|set| set >> (signal.as_raw() - 1) & 1 == 1)
 }
 
@@ -318,12 +438,20 @@ pub fn nothing_unfinished_is_left() {
     let folder = tempfile::tempdir().unwrap();
     let f = folder.path();
     let left = || -> Vec<String> {
-        let names = std::fs::read_dir(f).unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
+        let names = std::fs::read_dir(f)
+            .unwrap()
+            .flatten()
+            .map(|e| e.file_name().to_string_lossy().into_owned());
         names.filter(|n| n.ends_with(".part")).collect()
     };
     // Long enough to be interrupted: the volume is written slice by slice.
     let bake = words("bake phantom:checker:size=400 -o out.nii --deform twist --interpolation cubic -q");
-    for signal in [rustix::process::Signal::INT, rustix::process::Signal::TERM, rustix::process::Signal::HUP, rustix::process::Signal::KILL] {
+    for signal in [
+        rustix::process::Signal::INT,
+        rustix::process::Signal::TERM,
+        rustix::process::Signal::HUP,
+        rustix::process::Signal::KILL,
+    ] {
         // Under `nohup`, for example, the signal stays ignored.
         if is_ignored(signal) {
             continue;
@@ -332,20 +460,43 @@ pub fn nothing_unfinished_is_left() {
         let start = Instant::now();
         let mut grown = false;
         while !grown {
-            assert!(start.elapsed() < HANGS && child.try_wait().unwrap().is_none(), "nothing was written");
+            assert!(
+                start.elapsed() < HANGS && child.try_wait().unwrap().is_none(),
+                "nothing was written"
+            );
             std::thread::sleep(Duration::from_millis(1));
-            grown = left().iter().any(|n| std::fs::metadata(f.join(n)).is_ok_and(|m| m.len() > 0));
+            grown = left()
+                .iter()
+                .any(|n| std::fs::metadata(f.join(n)).is_ok_and(|m| m.len() > 0));
         }
         rustix::process::kill_process(rustix::process::Pid::from_child(&child), signal).unwrap();
         let status = child.wait().unwrap();
-        assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(signal.as_raw()), "{status}");
+        assert_eq!(
+            std::os::unix::process::ExitStatusExt::signal(&status),
+            Some(signal.as_raw()),
+            "{status}"
+        );
         assert!(!f.join("out.nii").exists());
-        assert_eq!(left().is_empty(), signal != rustix::process::Signal::KILL, "{signal:?}: {:?}", left());
+        assert_eq!(
+            left().is_empty(),
+            signal != rustix::process::Signal::KILL,
+            "{signal:?}: {:?}",
+            left()
+        );
     }
     // A recent partial file is not removed yet: it may belong to a running process.
     let next = words("render phantom:ball -o a.png --backend cpu --size 16x16 -q");
     assert!(incise(f, &next).status.success() && left().len() == 1);
     let long_ago = std::time::SystemTime::now() - Duration::from_secs(600);
-    std::fs::File::options().write(true).open(f.join(&left()[0])).unwrap().set_modified(long_ago).unwrap();
-    assert!(incise(f, &next).status.success() && left().is_empty(), "{:?}", left());
+    std::fs::File::options()
+        .write(true)
+        .open(f.join(&left()[0]))
+        .unwrap()
+        .set_modified(long_ago)
+        .unwrap();
+    assert!(
+        incise(f, &next).status.success() && left().is_empty(),
+        "{:?}",
+        left()
+    );
 }

@@ -32,8 +32,16 @@ pub(super) struct Bench {
 }
 
 /// A window at 30 frames per second with its settings in a folder.
-pub(super) fn workstation(folder: &Path, file: Option<&Path>, backend: Backend) -> Harness<'static, Workstation> {
-    let options = Options { file: file.map(Path::to_owned), folder: Some(folder.to_owned()), backend: Some(backend) };
+pub(super) fn workstation(
+    folder: &Path,
+    file: Option<&Path>,
+    backend: Backend,
+) -> Harness<'static, Workstation> {
+    let options = Options {
+        file: file.map(Path::to_owned),
+        folder: Some(folder.to_owned()),
+        backend: Some(backend),
+    };
     Harness::builder()
         .with_size(vec2(1280.0, 800.0))
         .with_step_dt(1.0 / 30.0)
@@ -57,7 +65,12 @@ impl Bench {
         let harness = workstation(&folder.path().join("home"), Some(file), Backend::Cpu);
         let mut bench = Self { harness, folder };
         bench.settle();
-        assert!(bench.app().doc.is_some(), "{} did not open: {}", file.display(), bench.app().log.text());
+        assert!(
+            bench.app().doc.is_some(),
+            "{} did not open: {}",
+            file.display(),
+            bench.app().log.text()
+        );
         bench
     }
 
@@ -85,7 +98,11 @@ impl Bench {
             if n > 3 && !self.app().is_busy() {
                 break;
             }
-            assert!(start.elapsed() < Duration::from_secs(90), "still busy: {}", self.app().log.text());
+            assert!(
+                start.elapsed() < Duration::from_secs(90),
+                "still busy: {}",
+                self.app().log.text()
+            );
             std::thread::sleep(Duration::from_millis(3));
         }
         self.step();
@@ -96,7 +113,11 @@ impl Bench {
         while !done(self.app()) {
             self.step();
             std::thread::sleep(Duration::from_millis(3));
-            assert!(start.elapsed() < Duration::from_secs(90), "{what}: {}", self.app().log.text());
+            assert!(
+                start.elapsed() < Duration::from_secs(90),
+                "{what}: {}",
+                self.app().log.text()
+            );
         }
     }
 
@@ -130,12 +151,26 @@ impl Bench {
 
     /// Presses at the first place, moves through the others and releases.
     pub(super) fn drag(&mut self, button: PointerButton, modifiers: Modifiers, places: &[Pos2]) {
-        let press = |pos, pressed| egui::Event::PointerButton { pos, button, pressed, modifiers };
-        let mut events = vec![egui::Event::ModifiersChanged(modifiers), egui::Event::PointerMoved(places[0]), press(places[0], true)];
+        let press = |pos, pressed| egui::Event::PointerButton {
+            pos,
+            button,
+            pressed,
+            modifiers,
+        };
+        let mut events = vec![
+            egui::Event::ModifiersChanged(modifiers),
+            egui::Event::PointerMoved(places[0]),
+            press(places[0], true),
+        ];
         for pair in places.windows(2) {
-            events.extend((1..=4).map(|n| egui::Event::PointerMoved(pair[0] + (pair[1] - pair[0]) * (n as f32 / 4.0))));
+            events.extend(
+                (1..=4).map(|n| egui::Event::PointerMoved(pair[0] + (pair[1] - pair[0]) * (n as f32 / 4.0))),
+            );
         }
-        events.extend([press(places[places.len() - 1], false), egui::Event::ModifiersChanged(Modifiers::NONE)]);
+        events.extend([
+            press(places[places.len() - 1], false),
+            egui::Event::ModifiersChanged(Modifiers::NONE),
+        ]);
         for event in events {
             self.harness.event(event);
             self.step();
@@ -157,12 +192,24 @@ impl Bench {
     }
 
     pub(super) fn has_error(&mut self, text: &str) -> bool {
-        self.app().log.entries().iter().any(|e| e.level == LogLevel::Error && e.text.contains(text))
+        self.app()
+            .log
+            .entries()
+            .iter()
+            .any(|e| e.level == LogLevel::Error && e.text.contains(text))
     }
 
     pub(super) fn no_errors(&mut self) {
         let text = self.app().log.text();
-        assert!(!self.app().log.entries().iter().any(|e| e.level == LogLevel::Error), "{text}");
+        assert!(
+            !self
+                .app()
+                .log
+                .entries()
+                .iter()
+                .any(|e| e.level == LogLevel::Error),
+            "{text}"
+        );
     }
 
     /// The screen position of a handle of the selected deformation.
@@ -171,7 +218,13 @@ impl Bench {
         let projector = app.projector().unwrap();
         let doc = app.doc.as_ref().unwrap();
         let d = &doc.scene.deformation[doc.deformation_index().unwrap()];
-        let gizmo = Gizmo { projector, kind: kind_of(d).unwrap(), deformation: d, scene_box: doc.bounds(), mode: app.view.gizmo };
+        let gizmo = Gizmo {
+            projector,
+            kind: kind_of(d).unwrap(),
+            deformation: d,
+            scene_box: doc.bounds(),
+            mode: app.view.gizmo,
+        };
         let at = gizmo.handles().into_iter().find(|(h, _)| *h == wanted).unwrap().1;
         projector.screen(at).unwrap()
     }

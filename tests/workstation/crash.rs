@@ -50,9 +50,15 @@ pub fn the_last_save_opens_after_a_crash() {
     for _ in 0..20 {
         use std::io::BufRead;
         let program = std::env::current_exe().unwrap();
-        let mut child = std::process::Command::new(program).env(CHILD, folder.path()).stdout(std::process::Stdio::piped()).spawn().unwrap();
+        let mut child = std::process::Command::new(program)
+            .env(CHILD, folder.path())
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
         let mut ready = String::new();
-        std::io::BufReader::new(child.stdout.take().unwrap()).read_line(&mut ready).unwrap();
+        std::io::BufReader::new(child.stdout.take().unwrap())
+            .read_line(&mut ready)
+            .unwrap();
         assert_eq!(ready.trim(), "ready");
         std::thread::sleep(Duration::from_micros(u64::from(random.next_u32() % 400_000)));
         child.kill().unwrap();
@@ -62,7 +68,12 @@ pub fn the_last_save_opens_after_a_crash() {
         assert!(problems.is_empty(), "{problems:?}");
         for left in session.left_behind() {
             let scene = Scene::load(&left.file).unwrap_or_else(|e| panic!("{e}"));
-            assert!(scene.deformation.iter().all(|d| d.name.as_ref().is_some_and(|n| n.starts_with("edit "))));
+            assert!(
+                scene
+                    .deformation
+                    .iter()
+                    .all(|d| d.name.as_ref().is_some_and(|n| n.starts_with("edit ")))
+            );
             recovered += 1;
             session.discard(&left);
         }
@@ -77,20 +88,38 @@ pub fn the_last_save_opens_after_a_crash() {
     // A new window offers it.
     let mut bench = loop {
         let program = std::env::current_exe().unwrap();
-        let mut child = std::process::Command::new(program).env(CHILD, folder.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
+        let mut child = std::process::Command::new(program)
+            .env(CHILD, folder.path())
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
         std::thread::sleep(Duration::from_secs(2));
         child.kill().unwrap();
         child.wait().unwrap();
-        let mut bench = Bench { harness: workstation(&folder.path().join("home"), None, Backend::Cpu), folder: tempfile::tempdir().unwrap() };
+        let mut bench = Bench {
+            harness: workstation(&folder.path().join("home"), None, Backend::Cpu),
+            folder: tempfile::tempdir().unwrap(),
+        };
         bench.step();
         bench.step();
         // If the process was killed just after saving, there is nothing to recover.
         match bench.app().dialog {
             Some(Dialog::Recover(_)) => break bench,
-            _ => assert!(bench.app().session.left_behind().is_empty(), "nothing was offered"),
+            _ => assert!(
+                bench.app().session.left_behind().is_empty(),
+                "nothing was offered"
+            ),
         }
     };
     bench.harness.get_all_by_label("Recover").next().unwrap().click();
     bench.settle();
-    assert!(bench.app().doc.as_ref().is_some_and(|d| d.is_changed() && !d.scene.deformation.is_empty()), "{}", bench.app().log.text());
+    assert!(
+        bench
+            .app()
+            .doc
+            .as_ref()
+            .is_some_and(|d| d.is_changed() && !d.scene.deformation.is_empty()),
+        "{}",
+        bench.app().log.text()
+    );
 }

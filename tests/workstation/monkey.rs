@@ -11,7 +11,11 @@ use std::time::Instant;
 
 fn resident_mib() -> f64 {
     let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    let pages: f64 = text.split_whitespace().nth(1).and_then(|p| p.parse().ok()).unwrap_or(0.0);
+    let pages: f64 = text
+        .split_whitespace()
+        .nth(1)
+        .and_then(|p| p.parse().ok())
+        .unwrap_or(0.0);
     pages * 4096.0 / (1 << 20) as f64
 }
 
@@ -31,14 +35,18 @@ struct Monkey {
 }
 
 impl Monkey {
-    /// Performs a random action of the menu and adds its label to the recent ones. Returns whether it did.
+    /// Performs a random action of the menu and adds its label to the recent ones. Returns whether
+    /// it did.
     fn perform_any_action(&mut self) -> bool {
         let entries = &self.bench.app().entries;
         let entry: &ActionEntry = &entries[below(&mut self.random, entries.len())];
         let (action, label) = (entry.action, entry.label.clone());
         self.recent.push(label);
         // Actions that close the window or open a file dialog are tried rarely, and then dismissed.
-        let leaves = matches!(action, Action::Quit | Action::OpenFolder | Action::OpenHead | Action::Close | Action::CopyCommand);
+        let leaves = matches!(
+            action,
+            Action::Quit | Action::OpenFolder | Action::OpenHead | Action::Close | Action::CopyCommand
+        );
         let asks = matches!(
             action,
             Action::Open
@@ -64,27 +72,55 @@ impl Monkey {
         true
     }
 
-    /// Sends random input: a drag, a click in the 3D view, a key, or numbers, depending on `what`, a number
-    /// from 62 to 99.
+    /// Sends random input: a drag, a click in the 3D view, a key, or numbers, depending on `what`,
+    /// a number from 62 to 99.
     fn send_any_input(&mut self, what: usize) {
         if what < 74 {
-            let modifiers = [Modifiers::NONE, Modifiers::SHIFT, Modifiers::COMMAND][below(&mut self.random, 3)];
-            let button = [PointerButton::Primary, PointerButton::Middle, PointerButton::Secondary][below(&mut self.random, 3)];
-            let mut place = || pos2(below(&mut self.random, 1280) as f32, 34.0 + below(&mut self.random, 740) as f32);
+            let modifiers =
+                [Modifiers::NONE, Modifiers::SHIFT, Modifiers::COMMAND][below(&mut self.random, 3)];
+            let button = [
+                PointerButton::Primary,
+                PointerButton::Middle,
+                PointerButton::Secondary,
+            ][below(&mut self.random, 3)];
+            let mut place = || {
+                pos2(
+                    below(&mut self.random, 1280) as f32,
+                    34.0 + below(&mut self.random, 740) as f32,
+                )
+            };
             let places = [place(), place()];
-            self.recent.push(format!("drag {button:?} {modifiers:?} {places:?}"));
-            let press = |pos, pressed| egui::Event::PointerButton { pos, button, pressed, modifiers };
-            for event in [egui::Event::PointerMoved(places[0]), press(places[0], true), egui::Event::PointerMoved(places[1]), press(places[1], false)]
-            {
+            self.recent
+                .push(format!("drag {button:?} {modifiers:?} {places:?}"));
+            let press = |pos, pressed| egui::Event::PointerButton {
+                pos,
+                button,
+                pressed,
+                modifiers,
+            };
+            for event in [
+                egui::Event::PointerMoved(places[0]),
+                press(places[0], true),
+                egui::Event::PointerMoved(places[1]),
+                press(places[1], false),
+            ] {
                 self.bench.harness.event(event);
             }
         } else if what < 84 {
             let pos = self.view.min
-                + vec2(below(&mut self.random, self.view.width() as usize) as f32, below(&mut self.random, self.view.height() as usize) as f32);
+                + vec2(
+                    below(&mut self.random, self.view.width() as usize) as f32,
+                    below(&mut self.random, self.view.height() as usize) as f32,
+                );
             self.recent.push(format!("click {pos:?}"));
             for pressed in [true, false] {
                 self.bench.harness.event(egui::Event::PointerMoved(pos));
-                self.bench.harness.event(egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE });
+                self.bench.harness.event(egui::Event::PointerButton {
+                    pos,
+                    button: PointerButton::Primary,
+                    pressed,
+                    modifiers: Modifiers::NONE,
+                });
             }
         } else if what < 96 {
             let key = Key::ALL[below(&mut self.random, Key::ALL.len())];
@@ -102,7 +138,8 @@ impl Monkey {
         }
     }
 
-    /// Limits the number of deformations, surfaces and measures, since memory grows with it in any program.
+    /// Limits the number of deformations, surfaces and measures, since memory grows with it in any
+    /// program.
     fn limit_scene(&mut self) {
         if let Some(doc) = self.bench.app().doc.as_mut() {
             if doc.scene.deformation.len() > 4 {
@@ -112,7 +149,12 @@ impl Monkey {
                 doc.scene.mesh.clear();
                 doc.scene.measure.clear();
             }
-            if doc.scene.deformation.iter().any(|d| d.parameters.0.get("strokes").is_some_and(|s| format!("{s:?}").len() > 4000)) {
+            if doc.scene.deformation.iter().any(|d| {
+                d.parameters
+                    .0
+                    .get("strokes")
+                    .is_some_and(|s| format!("{s:?}").len() > 4000)
+            }) {
                 doc.scene.deformation.clear();
             }
         }
@@ -120,12 +162,20 @@ impl Monkey {
 }
 
 pub fn a_monkey_does_no_harm() {
-    let count: usize = std::env::var("INCISE_MONKEY_ACTIONS").ok().and_then(|n| n.parse().ok()).unwrap_or(20_000);
+    let count: usize = std::env::var("INCISE_MONKEY_ACTIONS")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(20_000);
     let bench = Bench::open("phantom:head-ct:size=24");
     let random = TestRng::from_seed(RngAlgorithm::ChaCha, &[42; 32]);
     let ctx = bench.ctx();
     let view = bench.rect("3D view");
-    let mut monkey = Monkey { bench, random, view, recent: Vec::new() };
+    let mut monkey = Monkey {
+        bench,
+        random,
+        view,
+        recent: Vec::new(),
+    };
     let start = Instant::now();
     let mut resident = Vec::new();
     for n in 0..count {
@@ -147,7 +197,11 @@ pub fn a_monkey_does_no_harm() {
         }
         let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| bench.step()));
         assert!(caught.is_ok(), "action {n} after {recent:#?}");
-        assert!(!bench.app().log.text().contains("fault of the program"), "action {n} after {recent:#?}\n{}", bench.app().log.text());
+        assert!(
+            !bench.app().log.text().contains("fault of the program"),
+            "action {n} after {recent:#?}\n{}",
+            bench.app().log.text()
+        );
         if bench.app().doc.is_none() && bench.app().loading.is_none() {
             bench.app().dialog = None;
             bench.app().open(&ctx, Path::new("phantom:head-ct:size=24"));
@@ -161,6 +215,9 @@ pub fn a_monkey_does_no_harm() {
     let most = |part: &[f64]| part.iter().copied().fold(0.0, f64::max);
     // Caches fill in the first half.
     let (warm, end) = (most(&resident[..resident.len() / 2 + 1]), most(&resident));
-    println!("{count} actions in {:.0} s; resident MiB at each eighth: {resident:.0?}", start.elapsed().as_secs_f64());
+    println!(
+        "{count} actions in {:.0} s; resident MiB at each eighth: {resident:.0?}",
+        start.elapsed().as_secs_f64()
+    );
     assert!(end < 1.1 * warm + 32.0, "memory grew from {warm} to {end} MiB");
 }

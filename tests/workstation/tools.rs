@@ -17,7 +17,10 @@ pub fn slices_show_deformed_and_source() {
     let mm = cut.plane.mm_per_pixel;
     let expected = (60.0 / mm).powi(2);
     let lost = (holes(&cut.section.values) - holes(&plain)) as f32;
-    assert!((lost / expected - 1.0).abs() < 0.05, "{lost} pixels, {expected} expected");
+    assert!(
+        (lost / expected - 1.0).abs() < 0.05,
+        "{lost} pixels, {expected} expected"
+    );
     bench.app().slices.space = Space::Source;
     bench.settle();
     let source = bench.app().slices.picture(3).unwrap().section.values.clone();
@@ -35,9 +38,22 @@ pub fn slices_show_deformed_and_source() {
     bench.settle();
     let found = bench.app().slices.source_cursor().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
-    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.source_and_alpha(cursor).0;
-    assert!(found.distance(expected) < 1.5 * mm && found.distance(cursor) > 5.0, "{found} {expected}");
-    for overlay in [Overlay::Grid, Overlay::Glyphs, Overlay::Mask, Overlay::Jacobian, Overlay::Labels] {
+    let expected = incise::prepare::Deformed::new(&scene, &assets)
+        .unwrap()
+        .stack
+        .source_and_alpha(cursor)
+        .0;
+    assert!(
+        found.distance(expected) < 1.5 * mm && found.distance(cursor) > 5.0,
+        "{found} {expected}"
+    );
+    for overlay in [
+        Overlay::Grid,
+        Overlay::Glyphs,
+        Overlay::Mask,
+        Overlay::Jacobian,
+        Overlay::Labels,
+    ] {
         bench.app().slices.overlay = overlay;
         bench.settle();
     }
@@ -45,17 +61,28 @@ pub fn slices_show_deformed_and_source() {
     bench.app().slices.space = Space::Deformed;
     bench.settle();
     let axial = bench.rect("Axial view");
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center(), axial.center() + vec2(20.0, 10.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[axial.center(), axial.center() + vec2(20.0, 10.0)],
+    );
     assert!(bench.app().slices.cursor.unwrap().distance(cursor) > 1.0);
     bench.settle();
     let before = bench.app().slices.picture(0).unwrap().style.window;
     bench.harness.key_down(Key::W);
     bench.step();
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center(), axial.center() + vec2(30.0, 0.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[axial.center(), axial.center() + vec2(30.0, 0.0)],
+    );
     bench.harness.key_up(Key::W);
     bench.settle();
     let after = bench.app().slices.picture(0).unwrap().style.window;
-    assert!(after[1] - after[0] > before[1] - before[0], "{before:?} {after:?}");
+    assert!(
+        after[1] - after[0] > before[1] - before[0],
+        "{before:?} {after:?}"
+    );
     assert_eq!(bench.app().tool, Tool::Navigate);
     bench.no_errors();
 }
@@ -64,22 +91,55 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let mut bench = Bench::open(HEAD);
     bench.perform(Action::Arm(Tool::BrushPush));
     let axial = bench.rect("Axial view");
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center(), axial.center() + vec2(24.0, 0.0), axial.center() + vec2(48.0, 6.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[
+            axial.center(),
+            axial.center() + vec2(24.0, 0.0),
+            axial.center() + vec2(48.0, 6.0),
+        ],
+    );
     bench.settle();
     let scene = bench.scene();
-    assert_eq!(scene.deformation.last().map(|d| d.kind.as_str()), Some("brush"), "{}", bench.app().log.text());
-    let strokes = |scene: &Scene| scene.deformation[0].parameters.texts("strokes").unwrap().unwrap_or_default();
+    assert_eq!(
+        scene.deformation.last().map(|d| d.kind.as_str()),
+        Some("brush"),
+        "{}",
+        bench.app().log.text()
+    );
+    let strokes = |scene: &Scene| {
+        scene.deformation[0]
+            .parameters
+            .texts("strokes")
+            .unwrap()
+            .unwrap_or_default()
+    };
     assert!(strokes(&scene).len() == 1 && strokes(&scene)[0].starts_with("push "));
     // The volume moved along: towards the patient's left on an axial slice.
     let assets = bench.app().doc.as_ref().unwrap().assets.clone();
     let deformed = incise::prepare::Deformed::new(&scene, &assets).unwrap();
-    let numbers: Vec<f32> = strokes(&scene)[0].split_whitespace().skip(1).map(|w| w.parse().unwrap()).collect();
+    let numbers: Vec<f32> = strokes(&scene)[0]
+        .split_whitespace()
+        .skip(1)
+        .map(|w| w.parse().unwrap())
+        .collect();
     let end = glam::Vec3::from_slice(&numbers[numbers.len() - 3..]);
     let moved = end - deformed.stack.source_and_alpha(end).0;
-    assert!(moved.x > 5.0 && moved.x > 2.0 * moved.y.abs() && moved.z.abs() < 0.5, "{moved}");
+    assert!(
+        moved.x > 5.0 && moved.x > 2.0 * moved.y.abs() && moved.z.abs() < 0.5,
+        "{moved}"
+    );
     // One stroke is one undo step.
     bench.perform(Action::Arm(Tool::BrushCut));
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[axial.center() - vec2(30.0, 0.0), axial.center() - vec2(30.0, 30.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[
+            axial.center() - vec2(30.0, 0.0),
+            axial.center() - vec2(30.0, 30.0),
+        ],
+    );
     bench.settle();
     assert_eq!(strokes(&bench.scene()).len(), 2);
     bench.key(Modifiers::COMMAND, Key::Z);
@@ -95,16 +155,26 @@ pub fn a_brush_paints_and_a_map_is_used_again() {
     let maps = bench.app().session.maps();
     assert_eq!(maps.len(), 1, "{}", bench.app().log.text());
     let ctx = bench.ctx();
-    bench.app().proceed(&ctx, NextStep::Open("phantom:ball:size=32".into()));
+    bench
+        .app()
+        .proceed(&ctx, NextStep::Open("phantom:ball:size=32".into()));
     bench.settle();
     bench.app().use_map(&ctx, &maps[0]);
     bench.settle();
     let scene = bench.scene();
     assert_eq!(scene.deformation[0].kind, "map");
     let assets = bench.app().doc.as_ref().unwrap().assets.clone();
-    let (other, bounds) = (incise::prepare::Deformed::new(&scene, &assets).unwrap(), assets.scene_box());
-    let points = (0..32_768).map(|n| bounds.min + bounds.size() * glam::Vec3::new((n % 32) as f32, (n / 32 % 32) as f32, (n / 1024) as f32) / 31.0);
-    let largest = points.map(|p| p.distance(other.stack.source_and_alpha(p).0)).fold(0.0, f32::max);
+    let (other, bounds) = (
+        incise::prepare::Deformed::new(&scene, &assets).unwrap(),
+        assets.scene_box(),
+    );
+    let points = (0..32_768).map(|n| {
+        bounds.min
+            + bounds.size() * glam::Vec3::new((n % 32) as f32, (n / 32 % 32) as f32, (n / 1024) as f32) / 31.0
+    });
+    let largest = points
+        .map(|p| p.distance(other.stack.source_and_alpha(p).0))
+        .fold(0.0, f32::max);
     assert!(largest > 2.0, "the map moves the other volume by {largest} mm");
     // A whole stack becomes one map.
     bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
@@ -125,7 +195,11 @@ pub fn the_transfer_function_is_edited() {
     bench.settle();
     let added = bench.scene().transfer;
     assert!(!added.points.is_empty(), "no point was added");
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[at, at + vec2(12.0, 20.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[at, at + vec2(12.0, 20.0)],
+    );
     bench.settle();
     let dragged = bench.scene().transfer;
     assert_eq!(dragged.points.len(), added.points.len());
@@ -157,7 +231,11 @@ pub fn measures_ride_along() {
     assert_eq!(scene.measure.len(), 1, "{}", bench.app().log.text());
     bench.settle();
     let [a, b] = [scene.measure[0].points[0], scene.measure[0].points[1]].map(glam::Vec3::from);
-    let quantity = |bench: &mut Bench, n: usize| bench.app().measured[0].quantities.as_ref().unwrap()[n].value.unwrap();
+    let quantity = |bench: &mut Bench, n: usize| {
+        bench.app().measured[0].quantities.as_ref().unwrap()[n]
+            .value
+            .unwrap()
+    };
     assert!((quantity(&mut bench, 0) - f64::from(a.distance(b))).abs() < 0.01);
     // After a taper, the distance in the patient is unchanged and that in the picture is not.
     let mut taper = Deformation::new("taper");
@@ -170,7 +248,10 @@ pub fn measures_ride_along() {
     let file = bench.folder.path().join("m.csv");
     bench.chosen(&file, FilePurpose::Measures);
     let text = std::fs::read_to_string(&file).unwrap();
-    assert!(text.lines().count() == 3 && text.contains("Distance 1") && text.contains("mm"), "{text}");
+    assert!(
+        text.lines().count() == 3 && text.contains("Distance 1") && text.contains("mm"),
+        "{text}"
+    );
     bench.no_errors();
 }
 
@@ -181,20 +262,44 @@ pub fn exports_are_written() {
     bench.app().doc.as_mut().unwrap().add(twist);
     bench.settle();
     let folder = bench.folder.path().to_owned();
-    let form = PictureForm { size: [96, 64], antialias: 2, step: 1.0, transparent: true };
+    let form = PictureForm {
+        size: [96, 64],
+        antialias: 2,
+        step: 1.0,
+        transparent: true,
+    };
     bench.chosen(&folder.join("figure.png"), FilePurpose::Picture(form));
     let picture = image::open(folder.join("figure.png")).unwrap().to_rgba8();
     assert_eq!(picture.dimensions(), (96, 64));
-    assert!(picture.pixels().any(|p| p[3] == 0) && picture.pixels().any(|p| p[3] == 255), "the background is not transparent");
-    let form = ClipForm { travel: ClipMotion::Progress(0), range: [0.0, 1.0], back: false, frames: 4, rate: 10.0, size: [48, 32] };
+    assert!(
+        picture.pixels().any(|p| p[3] == 0) && picture.pixels().any(|p| p[3] == 255),
+        "the background is not transparent"
+    );
+    let form = ClipForm {
+        travel: ClipMotion::Progress(0),
+        range: [0.0, 1.0],
+        back: false,
+        frames: 4,
+        rate: 10.0,
+        size: [48, 32],
+    };
     for name in ["clip.gif", "clip.png"] {
         bench.chosen(&folder.join(name), FilePurpose::Clip(form.clone()));
-        assert!(folder.join(name).metadata().is_ok_and(|m| m.len() > 500), "{}", bench.app().log.text());
+        assert!(
+            folder.join(name).metadata().is_ok_and(|m| m.len() > 500),
+            "{}",
+            bench.app().log.text()
+        );
     }
     bench.chosen(&folder.join("frames"), FilePurpose::Clip(form));
     assert_eq!(std::fs::read_dir(folder.join("frames")).unwrap().count(), 4);
     bench.chosen(&folder.join("baked.nii.gz"), FilePurpose::Bake { field: false });
-    let baked: Volume = incise::volume::load::volume(&folder.join("baked.nii.gz"), &Default::default(), &incise::Watch::NONE).unwrap();
+    let baked: Volume = incise::volume::load::volume(
+        &folder.join("baked.nii.gz"),
+        &Default::default(),
+        &incise::Watch::NONE,
+    )
+    .unwrap();
     assert_eq!(baked.size, bench.app().doc.as_ref().unwrap().assets.volume.size);
     bench.chosen(&folder.join("field.nrrd"), FilePurpose::Bake { field: true });
     assert!(folder.join("field.nrrd").exists());
@@ -203,11 +308,24 @@ pub fn exports_are_written() {
     bench.chosen(&file, FilePurpose::Save(None));
     bench.perform(Action::CopyCommand);
     let commands = bench.harness.output().platform_output.commands.clone();
-    let copied = commands.iter().find_map(|c| if let egui::OutputCommand::CopyText(t) = c { Some(t.clone()) } else { None });
-    assert!(copied.is_some_and(|t| t.starts_with("incise render ") && t.contains("scene.toml")), "{commands:?}");
+    let copied = commands.iter().find_map(|c| {
+        if let egui::OutputCommand::CopyText(t) = c {
+            Some(t.clone())
+        } else {
+            None
+        }
+    });
+    assert!(
+        copied.is_some_and(|t| t.starts_with("incise render ") && t.contains("scene.toml")),
+        "{commands:?}"
+    );
     // No input is overwritten.
     bench.chosen(&file, FilePurpose::Bake { field: false });
-    assert!(bench.has_error("scene.toml") || bench.has_error("output"), "{}", bench.app().log.text());
+    assert!(
+        bench.has_error("scene.toml") || bench.has_error("output"),
+        "{}",
+        bench.app().log.text()
+    );
     assert!(Scene::load(&file).is_ok());
 }
 
@@ -241,11 +359,16 @@ pub fn a_missing_file_is_located() {
     let volume = large_volume(&there, 16);
     let scene = folder.path().join("scene.toml");
     std::fs::write(&scene, "incise = 1\n[volume]\npath = \"large.nrrd\"\n").unwrap();
-    let mut bench = Bench { harness: workstation(&folder.path().join("home"), Some(&scene), Backend::Cpu), folder };
+    let mut bench = Bench {
+        harness: workstation(&folder.path().join("home"), Some(&scene), Backend::Cpu),
+        folder,
+    };
     bench.step();
     bench.step();
     bench.harness.get_by_label("A file is missing");
-    let Some(dialog @ Dialog::Locate { .. }) = bench.app().dialog.clone() else { panic!("no question") };
+    let Some(dialog @ Dialog::Locate { .. }) = bench.app().dialog.clone() else {
+        panic!("no question")
+    };
     bench.app().dialog = None;
     bench.chosen(&volume, FilePurpose::Locate(Box::new(dialog)));
     let doc = bench.app().doc.as_ref().unwrap();
@@ -283,7 +406,13 @@ pub fn the_palette_finds_commands() {
     }
     bench.click("Key of Reset camera");
     bench.key(Modifiers::SHIFT, Key::J);
-    let key = bench.app().entries.iter().find(|e| e.label == "Reset camera").unwrap().key;
+    let key = bench
+        .app()
+        .entries
+        .iter()
+        .find(|e| e.label == "Reset camera")
+        .unwrap()
+        .key;
     assert_eq!(key, Some(egui::KeyboardShortcut::new(Modifiers::SHIFT, Key::J)));
 }
 
@@ -292,16 +421,39 @@ pub fn views_turn_pan_and_zoom() {
     let view = bench.rect("3D view");
     let from = view.center() + vec2(200.0, 100.0);
     let camera = |bench: &mut Bench| bench.scene().camera;
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[from, from + vec2(50.0, 0.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[from, from + vec2(50.0, 0.0)],
+    );
     let turned = camera(&mut bench).view.azimuth_deg;
-    assert!((turned + 20.0).abs() < 4.0, "what is dragged to the right is seen from the patient's right: {turned}");
-    bench.drag(PointerButton::Middle, Modifiers::NONE, &[from, from + vec2(0.0, 40.0)]);
+    assert!(
+        (turned + 20.0).abs() < 4.0,
+        "what is dragged to the right is seen from the patient's right: {turned}"
+    );
+    bench.drag(
+        PointerButton::Middle,
+        Modifiers::NONE,
+        &[from, from + vec2(0.0, 40.0)],
+    );
     assert!(camera(&mut bench).target.is_some());
     let zoom = camera(&mut bench).zoom;
-    bench.drag(PointerButton::Secondary, Modifiers::NONE, &[from, from - vec2(0.0, 50.0)]);
+    bench.drag(
+        PointerButton::Secondary,
+        Modifiers::NONE,
+        &[from, from - vec2(0.0, 50.0)],
+    );
     assert!(camera(&mut bench).zoom > 1.2 * zoom);
-    bench.drag(PointerButton::Primary, Modifiers::COMMAND, &[view.center() + vec2(100.0, 0.0), view.center() + vec2(0.0, 100.0)]);
-    assert!(camera(&mut bench).roll.abs() > 40.0, "{}", camera(&mut bench).roll);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::COMMAND,
+        &[view.center() + vec2(100.0, 0.0), view.center() + vec2(0.0, 100.0)],
+    );
+    assert!(
+        camera(&mut bench).roll.abs() > 40.0,
+        "{}",
+        camera(&mut bench).roll
+    );
     bench.key(Modifiers::NONE, Key::R);
     assert_eq!(camera(&mut bench), Default::default());
     bench.key(Modifiers::ALT, Key::ArrowLeft);
@@ -321,12 +473,20 @@ pub fn views_turn_pan_and_zoom() {
     bench.app().doc.as_mut().unwrap().add(Deformation::new("twist"));
     bench.app().select(Selection::Nothing);
     bench.settle();
-    bench.harness.event(egui::Event::PointerMoved(view.center() + vec2(14.0, 3.0)));
+    bench
+        .harness
+        .event(egui::Event::PointerMoved(view.center() + vec2(14.0, 3.0)));
     bench.step();
-    bench.until("nothing under the pointer", |app| app.prober_is_idle() && app.hover.is_some());
+    bench.until("nothing under the pointer", |app| {
+        app.prober_is_idle() && app.hover.is_some()
+    });
     let hover = bench.app().hover.clone().unwrap();
     let (scene, assets) = (bench.scene(), bench.app().doc.as_ref().unwrap().assets.clone());
-    let expected = incise::prepare::Deformed::new(&scene, &assets).unwrap().stack.source_and_alpha(hover.deformed.unwrap()).0;
+    let expected = incise::prepare::Deformed::new(&scene, &assets)
+        .unwrap()
+        .stack
+        .source_and_alpha(hover.deformed.unwrap())
+        .0;
     assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
     // Space, while held, shows the undeformed scene.
     bench.harness.key_down(Key::Space);
@@ -345,13 +505,29 @@ pub fn views_turn_pan_and_zoom() {
     }
     assert_eq!(bench.app().view.gizmo, GizmoMode::Shape);
     let center = bench.handle(Handle::Center);
-    bench.drag(PointerButton::Primary, Modifiers::NONE, &[center, center + vec2(30.0, 10.0)]);
+    bench.drag(
+        PointerButton::Primary,
+        Modifiers::NONE,
+        &[center, center + vec2(30.0, 10.0)],
+    );
     let moved = bench.handle(Handle::Center);
-    assert!(moved.distance(center + vec2(30.0, 10.0)) < 2.0, "the handle is not under the pointer: {moved:?}");
+    assert!(
+        moved.distance(center + vec2(30.0, 10.0)) < 2.0,
+        "the handle is not under the pointer: {moved:?}"
+    );
     // Esc cancels a drag.
     let place = bench.scene().deformation[0].center;
-    let press = |pos, pressed| egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed, modifiers: Modifiers::NONE };
-    for event in [egui::Event::PointerMoved(moved), press(moved, true), egui::Event::PointerMoved(moved + vec2(40.0, 0.0))] {
+    let press = |pos, pressed| egui::Event::PointerButton {
+        pos,
+        button: PointerButton::Primary,
+        pressed,
+        modifiers: Modifiers::NONE,
+    };
+    for event in [
+        egui::Event::PointerMoved(moved),
+        press(moved, true),
+        egui::Event::PointerMoved(moved + vec2(40.0, 0.0)),
+    ] {
         bench.harness.event(event);
         bench.step();
     }
@@ -369,7 +545,10 @@ pub fn uneven_slices_are_told_and_mended() {
     let folder = tempfile::tempdir().unwrap();
     let series = folder.path().join("series");
     let size = [16, 14, 12];
-    let grid = incise::volume::GridGeometry { size, world_from_voxel: glam::DAffine3::from_scale(glam::DVec3::new(2.0, 2.0, 3.0)) };
+    let grid = incise::volume::GridGeometry {
+        size,
+        world_from_voxel: glam::DAffine3::from_scale(glam::DVec3::new(2.0, 2.0, 3.0)),
+    };
     let values: Vec<i16> = (0..16 * 14 * 12).map(|n: i32| (n % 97 * 10) as i16).collect();
     crate::readers::dicom::write(&series, &grid, &values);
     // Two slices in the middle are missing.
@@ -379,7 +558,12 @@ pub fn uneven_slices_are_told_and_mended() {
     let mut bench = Bench::open_in(folder, &series);
     let depth = |bench: &mut Bench| bench.app().doc.as_ref().unwrap().assets.volume.size[2];
     assert_eq!(depth(&mut bench), 10);
-    let bar = |bench: &Bench| bench.harness.query_by_label_contains("Slice spacing is uneven").is_some();
+    let bar = |bench: &Bench| {
+        bench
+            .harness
+            .query_by_label_contains("Slice spacing is uneven")
+            .is_some()
+    };
     for _ in 0..400 {
         bench.step();
     }
@@ -396,21 +580,42 @@ pub fn uneven_slices_are_told_and_mended() {
     bench.app().doc.as_mut().unwrap().scene.measure.push(measure);
     bench.app().show_panel(incise::gui::state::layout::Panel::Measure);
     bench.settle();
-    assert!(bench.harness.query_by_label_contains("not shown at their acquired positions").is_some());
+    assert!(
+        bench
+            .harness
+            .query_by_label_contains("not shown at their acquired positions")
+            .is_some()
+    );
     bench.click("Resample");
-    bench.until("not resampled", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
+    bench.until("not resampled", |app| {
+        app.doc.as_ref().unwrap().assets.volume.size[2] == 12
+    });
     bench.settle();
-    assert!(!bar(&bench) && bench.harness.query_by_label_contains("made before resampling").is_some());
+    assert!(
+        !bar(&bench)
+            && bench
+                .harness
+                .query_by_label_contains("made before resampling")
+                .is_some()
+    );
     // The mark is saved, and also appears in an exported table of the measurements.
     let file = bench.folder.path().join("m.csv");
     bench.chosen(&file, FilePurpose::Measures);
-    assert!(std::fs::read_to_string(&file).unwrap().contains("made before resampling"));
+    assert!(
+        std::fs::read_to_string(&file)
+            .unwrap()
+            .contains("made before resampling")
+    );
     bench.key(Modifiers::COMMAND, Key::Z);
-    bench.until("not undone", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 10);
+    bench.until("not undone", |app| {
+        app.doc.as_ref().unwrap().assets.volume.size[2] == 10
+    });
     assert!(!bench.scene().measure[0].before_resampling);
     bench.settle();
     bench.key(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z);
-    bench.until("not done again", |app| app.doc.as_ref().unwrap().assets.volume.size[2] == 12);
+    bench.until("not done again", |app| {
+        app.doc.as_ref().unwrap().assets.volume.size[2] == 12
+    });
     bench.settle();
     let file = bench.folder.path().join("scene.toml");
     bench.chosen(&file, FilePurpose::Save(None));
@@ -427,12 +632,20 @@ pub fn a_field_refuses_what_it_cannot_use() {
     bench.settle();
     let shown = bench.picture();
     let before = bench.scene();
-    for (field, text, word) in
-        [("Label", "labels.nii.gz", "file name"), ("Mask", "no-such-mask.nii", "file not found"), ("Iso", "high", "is not a number")]
-    {
-        bench.harness.get_by_role_and_label(Role::TextInput, field).scroll_to_me();
+    for (field, text, word) in [
+        ("Label", "labels.nii.gz", "file name"),
+        ("Mask", "no-such-mask.nii", "file not found"),
+        ("Iso", "high", "is not a number"),
+    ] {
+        bench
+            .harness
+            .get_by_role_and_label(Role::TextInput, field)
+            .scroll_to_me();
         bench.settle();
-        bench.harness.get_by_role_and_label(Role::TextInput, field).focus();
+        bench
+            .harness
+            .get_by_role_and_label(Role::TextInput, field)
+            .focus();
         bench.step();
         for c in text.chars() {
             bench.harness.event(egui::Event::Text(c.to_string()));
@@ -440,7 +653,10 @@ pub fn a_field_refuses_what_it_cannot_use() {
         bench.step();
         bench.key(Modifiers::NONE, Key::Enter);
         bench.settle();
-        assert!(bench.harness.query_by_label_contains(word).is_some(), "{field}: nothing is said of \"{text}\"");
+        assert!(
+            bench.harness.query_by_label_contains(word).is_some(),
+            "{field}: nothing is said of \"{text}\""
+        );
         assert_eq!(bench.scene(), before, "{field}");
     }
     assert_eq!(bench.picture(), shown);

@@ -28,9 +28,17 @@ pub(super) fn dash(dashed: bool) -> &'static str {
 
 /// A disc or a square, with its tooltip.
 pub(super) fn dot(x: f64, y: f64, square: bool, tooltip: &str) -> String {
-    let tooltip = if tooltip.is_empty() { String::new() } else { format!("<title>{}</title>", escaped(tooltip)) };
+    let tooltip = if tooltip.is_empty() {
+        String::new()
+    } else {
+        format!("<title>{}</title>", escaped(tooltip))
+    };
     if square {
-        return format!("<rect class=\"dot\" x=\"{:.1}\" y=\"{:.1}\" width=\"8\" height=\"8\">{tooltip}</rect>", x - 4.0, y - 4.0);
+        return format!(
+            "<rect class=\"dot\" x=\"{:.1}\" y=\"{:.1}\" width=\"8\" height=\"8\">{tooltip}</rect>",
+            x - 4.0,
+            y - 4.0
+        );
     }
     format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4.5\">{tooltip}</circle>")
 }

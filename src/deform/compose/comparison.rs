@@ -18,7 +18,14 @@ pub(super) const MIN_GAIN: f32 = 0.8;
 /// Points spread over the unit cube: multiples of the powers of the plastic number, to avoid
 /// hitting the cells of a map's grid at the same position repeatedly.
 pub(super) fn spread(n: usize) -> Vec3 {
-    Vec3::from([0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2f64].map(|a| (0.5 + a * n as f64).fract() as f32))
+    Vec3::from(
+        [
+            0.819_172_513_396_164_4,
+            0.671_043_606_703_789_3,
+            0.549_700_477_901_970_2f64,
+        ]
+        .map(|a| (0.5 + a * n as f64).fract() as f32),
+    )
 }
 
 /// The largest of some errors and their 99th percentile; zeros if there are none.
@@ -55,7 +62,8 @@ impl Comparison<'_> {
             // Distance to the cut that only one of them has.
             _ => {
                 let mask = |p: Vec3| (self.exact)(&p).1;
-                let slope = Vec3::from(Vec3::AXES.map(|e| mask(p + e * h) - mask(p - e * h))).length() / (2.0 * h);
+                let slope =
+                    Vec3::from(Vec3::AXES.map(|e| mask(p + e * h) - mask(p - e * h))).length() / (2.0 * h);
                 Some((alpha - 0.5).abs() / slope.max(1e-6))
             }
         }
@@ -67,6 +75,10 @@ impl Comparison<'_> {
             let p = over.min + spread(n) * over.size();
             self.error(composed, p, h).map(|e| (e, p))
         };
-        (0..probes).into_par_iter().with_min_len(1024).filter_map(of_point).collect()
+        (0..probes)
+            .into_par_iter()
+            .with_min_len(1024)
+            .filter_map(of_point)
+            .collect()
     }
 }

@@ -14,7 +14,11 @@ pub(super) const MAX_SEARCH_TEXELS: usize = 1 << 23;
 
 /// The axis-aligned box around all cubes of a stack; none if the stack is empty.
 pub(super) fn cubes(stack: &Stack) -> Option<Bounds> {
-    stack.maps().iter().map(PlacedMap::bounds_in_world).reduce(|a, b| a.union(&b))
+    stack
+        .maps()
+        .iter()
+        .map(PlacedMap::bounds_in_world)
+        .reduce(|a, b| a.union(&b))
 }
 
 /// Source and smallest mask of each of many points.
@@ -28,29 +32,48 @@ pub type Evaluate<'a> = &'a dyn Fn(&Stack, &[Vec3]) -> Result<SourcesAndAlphas>;
 /// # Errors
 /// None.
 pub fn evaluate(stack: &Stack, points: &[Vec3]) -> Result<SourcesAndAlphas> {
-    Ok(points.par_iter().map(|p| stack.source_and_alpha_unclipped(*p)).collect())
+    Ok(points
+        .par_iter()
+        .map(|p| stack.source_and_alpha_unclipped(*p))
+        .collect())
 }
 
 /// Grid points of a box with `texels` of them along its longest axis.
 pub(super) fn grid_for(size_mm: Vec3, texels: usize) -> [usize; 3] {
     let edge = size_mm.max_element() / (texels.max(2) - 1) as f32;
-    size_mm.to_array().map(|s| ((s / edge).round() as usize + 1).max(2))
+    size_mm
+        .to_array()
+        .map(|s| ((s / edge).round() as usize + 1).max(2))
 }
 
 /// The largest number of texels along the longest axis for which the grid has at most `most` in
 /// all.
 pub(super) fn finest(size_mm: Vec3, most: usize) -> usize {
-    (2..=4096).rev().find(|&n| grid_for(size_mm, n).iter().product::<usize>() <= most).unwrap_or(2)
+    (2..=4096)
+        .rev()
+        .find(|&n| grid_for(size_mm, n).iter().product::<usize>() <= most)
+        .unwrap_or(2)
 }
 
 /// The texels of a map in map coordinates, from the values of `many` at its grid points.
-pub(super) fn grid_samples(placement: &Placement, size: [usize; 3], many: &dyn Fn(&[Vec3]) -> Result<SourcesAndAlphas>) -> Result<Vec<TexelSample>> {
+pub(super) fn grid_samples(
+    placement: &Placement,
+    size: [usize; 3],
+    many: &dyn Fn(&[Vec3]) -> Result<SourcesAndAlphas>,
+) -> Result<Vec<TexelSample>> {
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let points: Vec<Vec3> = (0..size.iter().product::<usize>())
         .into_par_iter()
-        .map(|n| placement.world_from_map.transform_point3(DisplacementMap::grid_point(size, n)))
+        .map(|n| {
+            placement
+                .world_from_map
+                .transform_point3(DisplacementMap::grid_point(size, n))
+        })
         .collect();
-    let texel = |((source, alpha), p): ((Vec3, f32), &Vec3)| TexelSample { displacement: map_from_world * (source - *p), alpha };
+    let texel = |((source, alpha), p): ((Vec3, f32), &Vec3)| TexelSample {
+        displacement: map_from_world * (source - *p),
+        alpha,
+    };
     Ok(many(&points)?.into_par_iter().zip(&points).map(texel).collect())
 }
 
@@ -62,7 +85,8 @@ pub fn placement_of(grid: &GridGeometry) -> Result<Placement> {
     // An axis of one voxel does not vary; its cube is one voxel thick.
     let extent = DVec3::from_array(grid.size.map(|n| n.saturating_sub(1).max(1) as f64));
     let first = DVec3::from_array(grid.size.map(|n| if n == 1 { -0.5 } else { 0.0 }));
-    let world_from_map = grid.world_from_voxel * glam::DAffine3::from_translation(first) * glam::DAffine3::from_scale(extent);
+    let world_from_map =
+        grid.world_from_voxel * glam::DAffine3::from_translation(first) * glam::DAffine3::from_scale(extent);
     Placement::from_affine(to_f32(&world_from_map))
 }
 
@@ -70,7 +94,8 @@ pub fn placement_of(grid: &GridGeometry) -> Result<Placement> {
 pub fn grid_of(placement: &Placement, size: [usize; 3]) -> GridGeometry {
     let step = Vec3::from(size.map(|n| 1.0 / n.saturating_sub(1).max(1) as f32));
     let first = Vec3::from(size.map(|n| if n == 1 { 0.5 } else { 0.0 }));
-    let world_from_voxel = placement.world_from_map * Affine3A::from_translation(first) * Affine3A::from_scale(step);
+    let world_from_voxel =
+        placement.world_from_map * Affine3A::from_translation(first) * Affine3A::from_scale(step);
     GridGeometry {
         size,
         world_from_voxel: glam::DAffine3 {
@@ -81,7 +106,13 @@ pub fn grid_of(placement: &Placement, size: [usize; 3]) -> GridGeometry {
 }
 
 /// A vector field on its own grid as a map; its mask is 0 where `occupied` is false.
-pub fn sampled_grid(field: &VectorField, occupied: Option<&[bool]>, placement: &Placement, storage: Storage, strength: f32) -> PlacedMap {
+pub fn sampled_grid(
+    field: &VectorField,
+    occupied: Option<&[bool]>,
+    placement: &Placement,
+    storage: Storage,
+    strength: f32,
+) -> PlacedMap {
     let size = field.grid.size;
     let map_from_world = Mat3::from(placement.map_from_world.matrix3);
     let sample = |n: usize| TexelSample {

@@ -6,13 +6,20 @@
 //! and s back exactly. Above the upper face the bend continues straight. Material beyond the centre
 //! of the arc would pass through itself; it is cut away.
 
-use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
+use super::{
+    Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter,
+};
 use glam::{Vec2, Vec3};
 
 pub(super) const KIND: Kind = Kind {
     name: "bend",
     about: "bends the box's z axis towards its +x, the lower face staying in place",
-    parameters: &[Parameter::degrees("angle", 50.0, [-170.0, 170.0], "rotation of the upper face")],
+    parameters: &[Parameter::degrees(
+        "angle",
+        50.0,
+        [-170.0, 170.0],
+        "rotation of the upper face",
+    )],
     size: DefaultSize::Share([1.8, 1.1, 1.1]),
     cube_scale: 1.0,
     varies: [true; 3],
@@ -22,7 +29,12 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Formula(|c| {
         let angle = (c.value("angle") * c.progress).to_radians();
-        Box::new(Bend { curvature: angle.abs() / c.size_mm.z, sense: angle.signum(), half_z: c.half().z, height: c.size_mm.z })
+        Box::new(Bend {
+            curvature: angle.abs() / c.size_mm.z,
+            sense: angle.signum(),
+            half_z: c.half().z,
+            height: c.size_mm.z,
+        })
     }),
 };
 
@@ -37,7 +49,10 @@ struct Bend {
 impl Field for Bend {
     fn backward(&self, q: Vec3) -> Backward {
         if self.curvature < 1e-7 {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let radius = 1.0 / self.curvature;
         let v = Vec2::new(radius - self.sense * q.x, q.z + self.half_z);
@@ -47,7 +62,10 @@ impl Field for Bend {
         // part beyond it.
         let back = Vec2::from_angle(-turn).rotate(v);
         let (x, s) = (radius - back.x, turn * radius + back.y);
-        Backward { source: Vec3::new(self.sense * x, q.y, s - self.half_z), cut_distance_mm: 0.98 * radius - x }
+        Backward {
+            source: Vec3::new(self.sense * x, q.y, s - self.half_z),
+            cut_distance_mm: 0.98 * radius - x,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -65,6 +83,9 @@ impl Field for Bend {
     }
 
     fn formula(&self) -> Option<Formula> {
-        Some(Formula::new(FormulaKind::Bend, &[self.curvature, self.sense, self.half_z, self.height]))
+        Some(Formula::new(
+            FormulaKind::Bend,
+            &[self.curvature, self.sense, self.half_z, self.height],
+        ))
     }
 }

@@ -24,8 +24,8 @@ mod path;
 mod silhouette;
 
 use super::{
-    Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind, NO_CUT_DISTANCE_MM, Setting, SettingFormat,
-    forward_numerically, lasso,
+    Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind,
+    NO_CUT_DISTANCE_MM, Setting, SettingFormat, forward_numerically, lasso,
 };
 use crate::deform::{Argument, Arguments};
 use crate::math::{Bounds, redistance, smoothstep, trilinear};
@@ -74,12 +74,31 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
     let (center, size) = (bounds.center(), bounds.size());
     let thickness = size.min_element();
     let line = |tool: StrokeTool, radius: f32, strength: f32, points: &[[f32; 3]]| {
-        let points = points.iter().map(|p| center + size * Vec3::from_array(*p)).collect();
-        Stroke::Line { tool, radius_mm: radius * thickness, strength, points }.to_string()
+        let points = points
+            .iter()
+            .map(|p| center + size * Vec3::from_array(*p))
+            .collect();
+        Stroke::Line {
+            tool,
+            radius_mm: radius * thickness,
+            strength,
+            points,
+        }
+        .to_string()
     };
     let strokes = vec![
-        line(StrokeTool::Push, 0.22, 1.0, &[[0.0, -0.16, 0.12], [0.02, -0.24, 0.18], [0.06, -0.3, 0.24]]),
-        line(StrokeTool::Cut, 0.08, 1.0, &[[0.22, -0.28, -0.1], [0.3, -0.2, 0.08], [0.26, -0.1, 0.24]]),
+        line(
+            StrokeTool::Push,
+            0.22,
+            1.0,
+            &[[0.0, -0.16, 0.12], [0.02, -0.24, 0.18], [0.06, -0.3, 0.24]],
+        ),
+        line(
+            StrokeTool::Cut,
+            0.08,
+            1.0,
+            &[[0.22, -0.28, -0.1], [0.3, -0.2, 0.08], [0.26, -0.1, 0.24]],
+        ),
         line(StrokeTool::Smooth, 0.24, 0.5, &[[0.06, -0.3, 0.24]]),
     ];
     vec![("strokes", Argument::Texts(strokes))]
@@ -104,19 +123,34 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         painting.apply(stroke, c.progress);
     }
     painting.renew();
-    Ok(Box::new(Brush { painting: Some(painting) }))
+    Ok(Box::new(Brush {
+        painting: Some(painting),
+    }))
 }
 
 fn strokes(settings: &Arguments) -> Result<Vec<Stroke>> {
     let texts = settings.texts("strokes")?.unwrap_or_default();
     if texts.len() > MAX_STROKES {
-        return Err(Error::value("strokes", format!("are {}; at most {MAX_STROKES} can be given: divide them among several brushes", texts.len())));
+        return Err(Error::value(
+            "strokes",
+            format!(
+                "are {}; at most {MAX_STROKES} can be given: divide them among several brushes",
+                texts.len()
+            ),
+        ));
     }
-    let read = |(n, text): (usize, &String)| parse(text).map_err(|problem| Error::value("strokes", format!("stroke {}: {problem}", n + 1)));
+    let read = |(n, text): (usize, &String)| {
+        parse(text).map_err(|problem| Error::value("strokes", format!("stroke {}: {problem}", n + 1)))
+    };
     let strokes = texts.iter().enumerate().map(read).collect::<Result<Vec<_>>>()?;
     let points: usize = strokes.iter().map(Stroke::points).sum();
     if points > MAX_POINTS {
-        return Err(Error::value("strokes", format!("have {points} points; at most {MAX_POINTS} can be given: divide them among several brushes")));
+        return Err(Error::value(
+            "strokes",
+            format!(
+                "have {points} points; at most {MAX_POINTS} can be given: divide them among several brushes"
+            ),
+        ));
     }
     Ok(strokes)
 }
@@ -169,7 +203,11 @@ impl Painting {
         let spacing = c.size_mm / Vec3::from(c.grid.map(|n| n.max(2) as f32 - 1.0));
         let far = c.ramp_mm + 2.0 * c.texel_mm;
         Self {
-            grid: BrushGrid { size: c.grid, half: c.half(), spacing },
+            grid: BrushGrid {
+                size: c.grid,
+                half: c.half(),
+                spacing,
+            },
             world_from_local,
             local_from_world: world_from_local.inverse(),
             texel_mm: c.texel_mm,
@@ -183,8 +221,16 @@ impl Painting {
 
     fn apply(&mut self, stroke: &Stroke, progress: f32) {
         match stroke {
-            Stroke::Line { tool, radius_mm, strength, points } => {
-                let line: Vec<Vec3> = points.iter().map(|p| self.local_from_world.transform_point3(*p)).collect();
+            Stroke::Line {
+                tool,
+                radius_mm,
+                strength,
+                points,
+            } => {
+                let line: Vec<Vec3> = points
+                    .iter()
+                    .map(|p| self.local_from_world.transform_point3(*p))
+                    .collect();
                 match tool {
                     StrokeTool::Push => self.push(&line, *radius_mm, strength * progress),
                     StrokeTool::Smooth => self.smooth(&line, *radius_mm, *strength),
@@ -198,7 +244,11 @@ impl Painting {
 
     /// (D, C) at a point of the box.
     fn sample(&self, p: Vec3) -> Vec4 {
-        trilinear(&self.texels, self.grid.size, (p + self.grid.half) / self.grid.spacing)
+        trilinear(
+            &self.texels,
+            self.grid.size,
+            (p + self.grid.half) / self.grid.spacing,
+        )
     }
 
     fn push(&mut self, line: &[Vec3], radius: f32, strength: f32) {
@@ -210,10 +260,14 @@ impl Painting {
         let half = self.grid.half;
         let fade = (0.5 * half).min(Vec3::splat(radius));
         let longest = STEP * fade.min_element();
-        for dab in dabs(&thinned(line, 0.5 * longest), longest, half + radius).filter(|d| d.step != Vec3::ZERO) {
+        for dab in
+            dabs(&thinned(line, 0.5 * longest), longest, half + radius).filter(|d| d.step != Vec3::ZERO)
+        {
             let way = dab.step * strength;
             self.repaint(dab.place, radius, |painting, _, p, weight| {
-                let window: f32 = (0..3).map(|a| smoothstep(0.0, fade[a], half[a] - p[a].abs())).product();
+                let window: f32 = (0..3)
+                    .map(|a| smoothstep(0.0, fade[a], half[a] - p[a].abs()))
+                    .product();
                 let s = way * (weight * window);
                 let before = painting.sample(p - s);
                 (before.truncate() - s).extend(before.w)
@@ -237,7 +291,9 @@ impl Painting {
                 }
                 let mut sum = Vec3::ZERO;
                 for n in 0..27 {
-                    sum += painting.texels[grid.index([at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1])].truncate();
+                    sum += painting.texels
+                        [grid.index([at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1])]
+                    .truncate();
                 }
                 own.truncate().lerp(sum / 27.0, strength * weight).extend(own.w)
             });
@@ -246,7 +302,12 @@ impl Painting {
 
     /// Updates the grid points around a position; each new value may depend on all the old ones.
     /// The weight falls from 1 at the position to 0 at `radius`.
-    fn repaint(&mut self, place: Vec3, radius: f32, fresh: impl Fn(&Self, [usize; 3], Vec3, f32) -> Vec4 + Sync) {
+    fn repaint(
+        &mut self,
+        place: Vec3,
+        radius: f32,
+        fresh: impl Fn(&Self, [usize; 3], Vec3, f32) -> Vec4 + Sync,
+    ) {
         let [xs, ys, zs] = self.grid.around(place, place, radius);
         let painting = &*self;
         let plane = |k: usize| {
@@ -256,15 +317,21 @@ impl Painting {
                     let p = painting.grid.position([i, j, k]);
                     let inside = 1.0 - p.distance_squared(place) / (radius * radius);
                     if inside > 0.0 {
-                        changed.push((painting.grid.index([i, j, k]), fresh(painting, [i, j, k], p, inside * inside)));
+                        changed.push((
+                            painting.grid.index([i, j, k]),
+                            fresh(painting, [i, j, k], p, inside * inside),
+                        ));
                     }
                 }
             }
             changed
         };
         let least = WORTH_A_THREAD / (xs.len() * ys.len()).max(1) + 1;
-        let planes: Vec<Vec<(usize, Vec4)>> =
-            if zs.len() <= least { zs.map(plane).collect() } else { zs.into_par_iter().with_min_len(least).map(plane).collect() };
+        let planes: Vec<Vec<(usize, Vec4)>> = if zs.len() <= least {
+            zs.map(plane).collect()
+        } else {
+            zs.into_par_iter().with_min_len(least).map(plane).collect()
+        };
         for (n, texel) in planes.into_iter().flatten() {
             self.texels[n] = texel;
         }
@@ -273,24 +340,35 @@ impl Painting {
     /// Cuts away, or restores, everything within `radius` of a line.
     fn tube(&mut self, line: &[Vec3], radius: f32, restores: bool) {
         let line = thinned(line, 0.25 * self.texel_mm);
-        let ends: Vec<(Vec3, Vec3)> = if let [p] = line[..] { vec![(p, p)] } else { line.windows(2).map(|w| (w[0], w[1])).collect() };
+        let ends: Vec<(Vec3, Vec3)> = if let [p] = line[..] {
+            vec![(p, p)]
+        } else {
+            line.windows(2).map(|w| (w[0], w[1])).collect()
+        };
         let (grid, gaps, far) = (self.grid, self.gaps, self.far);
         let segments: Vec<(Vec3, Vec3, [Range<usize>; 3])> = ends
             .into_iter()
             .map(|(a, b)| (a, b, grid.around(a, b, radius + far)))
             .filter(|(_, _, range)| range.iter().all(|r| !r.is_empty()))
             .collect();
-        self.texels.par_chunks_mut(grid.size[0] * grid.size[1]).enumerate().for_each(|(k, plane)| {
-            for (a, b, [xs, ys, _]) in segments.iter().filter(|s| s.2[2].contains(&k)) {
-                for j in ys.clone() {
-                    for i in xs.clone() {
-                        let outside = to_segment(grid.position([i, j, k]), *a, *b) - radius;
-                        let outside = if restores { outside } else { gaps.distance(outside, radius) };
-                        carve(&mut plane[j * grid.size[0] + i], outside, restores, far);
+        self.texels
+            .par_chunks_mut(grid.size[0] * grid.size[1])
+            .enumerate()
+            .for_each(|(k, plane)| {
+                for (a, b, [xs, ys, _]) in segments.iter().filter(|s| s.2[2].contains(&k)) {
+                    for j in ys.clone() {
+                        for i in xs.clone() {
+                            let outside = to_segment(grid.position([i, j, k]), *a, *b) - radius;
+                            let outside = if restores {
+                                outside
+                            } else {
+                                gaps.distance(outside, radius)
+                            };
+                            carve(&mut plane[j * grid.size[0] + i], outside, restores, far);
+                        }
                     }
                 }
-            }
-        });
+            });
         self.carved(restores);
     }
 
@@ -326,18 +404,26 @@ impl Painting {
         }
         let silhouette = Silhouette::new(&outline, low, high, step);
         let depth = silhouette.values.iter().fold(0.0f32, |d, v| d.max(-v));
-        self.texels.par_chunks_mut(grid.size[0] * grid.size[1]).enumerate().for_each(|(k, plane)| {
-            for (n, texel) in plane.iter_mut().enumerate() {
-                let (at, widening) = seen(grid.position([n % grid.size[0], n / grid.size[0], k]));
-                let Some(outside) = silhouette.sample(at) else { continue };
-                let outside = if lasso.restores {
-                    outside * widening
-                } else {
-                    gaps.distance((outside + depth * (1.0 - progress)) * widening, depth * progress * widening)
-                };
-                carve(texel, outside, lasso.restores, far);
-            }
-        });
+        self.texels
+            .par_chunks_mut(grid.size[0] * grid.size[1])
+            .enumerate()
+            .for_each(|(k, plane)| {
+                for (n, texel) in plane.iter_mut().enumerate() {
+                    let (at, widening) = seen(grid.position([n % grid.size[0], n / grid.size[0], k]));
+                    let Some(outside) = silhouette.sample(at) else {
+                        continue;
+                    };
+                    let outside = if lasso.restores {
+                        outside * widening
+                    } else {
+                        gaps.distance(
+                            (outside + depth * (1.0 - progress)) * widening,
+                            depth * progress * widening,
+                        )
+                    };
+                    carve(texel, outside, lasso.restores, far);
+                }
+            });
         self.carved(lasso.restores);
     }
 
@@ -362,7 +448,11 @@ impl Painting {
 /// Removes a shape from the retained part, or adds it, given the distance to the shape (positive
 /// outside).
 fn carve(texel: &mut Vec4, outside: f32, restores: bool, far: f32) {
-    let c = if restores { texel.w.max(-outside) } else { texel.w.min(outside) };
+    let c = if restores {
+        texel.w.max(-outside)
+    } else {
+        texel.w.min(outside)
+    };
     texel.w = c.clamp(-far, far);
 }
 
@@ -373,13 +463,29 @@ struct Brush {
 
 impl Field for Brush {
     fn backward(&self, q: Vec3) -> Backward {
-        let Some(painting) = &self.painting else { return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM } };
+        let Some(painting) = &self.painting else {
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
+        };
         let t = painting.sample(q);
-        Backward { source: q + t.truncate(), cut_distance_mm: if t.w < 0.999 * painting.far { t.w } else { NO_CUT_DISTANCE_MM } }
+        Backward {
+            source: q + t.truncate(),
+            cut_distance_mm: if t.w < 0.999 * painting.far {
+                t.w
+            } else {
+                NO_CUT_DISTANCE_MM
+            },
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
-        if self.painting.is_some() { forward_numerically(self, q) } else { Some(q) }
+        if self.painting.is_some() {
+            forward_numerically(self, q)
+        } else {
+            Some(q)
+        }
     }
 }
 

@@ -5,13 +5,21 @@
 //! magnification at the centre is 1 / (1 - a). ρ (1 - a (1 - ρ²)²) rises for -1.25 < a < 1, hence
 //! along each ray from the centre the inverse is one monotone equation.
 
-use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising};
+use super::{
+    Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter,
+    solve_rising,
+};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "bulge",
     about: "magnifies the middle of the box like a lens",
-    parameters: &[Parameter::number("amount", 0.45, [-1.0, 0.9], "magnification at the centre is 1 / (1 - amount)")],
+    parameters: &[Parameter::number(
+        "amount",
+        0.45,
+        [-1.0, 0.9],
+        "magnification at the centre is 1 / (1 - amount)",
+    )],
     size: DefaultSize::Share([0.8; 3]),
     cube_scale: 1.0,
     varies: [true; 3],
@@ -19,7 +27,12 @@ pub(super) const KIND: Kind = Kind {
     nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: FieldBuilder::Formula(|c| Box::new(Bulge { amount: c.value("amount") * c.progress, half: c.half() })),
+    build: FieldBuilder::Formula(|c| {
+        Box::new(Bulge {
+            amount: c.value("amount") * c.progress,
+            half: c.half(),
+        })
+    }),
 };
 
 struct Bulge {
@@ -35,7 +48,10 @@ impl Bulge {
 
 impl Field for Bulge {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: q * self.factor((q / self.half).length()), cut_distance_mm: NO_CUT_DISTANCE_MM }
+        Backward {
+            source: q * self.factor((q / self.half).length()),
+            cut_distance_mm: NO_CUT_DISTANCE_MM,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -48,6 +64,9 @@ impl Field for Bulge {
     }
 
     fn formula(&self) -> Option<Formula> {
-        Some(Formula::new(FormulaKind::Bulge, &[self.amount, self.half.x, self.half.y, self.half.z]))
+        Some(Formula::new(
+            FormulaKind::Bulge,
+            &[self.amount, self.half.x, self.half.y, self.half.z],
+        ))
     }
 }

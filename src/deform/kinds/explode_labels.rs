@@ -6,7 +6,8 @@
 //! nearest label. There displacements are blended by distance, so that D stays continuous.
 
 use super::{
-    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind,
+    NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat,
 };
 use crate::deform::Argument;
 use crate::math::DistanceGrid;
@@ -38,8 +39,16 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Sourced {
         settings: &[
-            Setting { name: "label", form: SettingFormat::Whole, about: "labels to move apart" },
-            Setting { name: "rest", form: SettingFormat::Choice(&["hide", "keep"]), about: "hide or keep everything outside these labels" },
+            Setting {
+                name: "label",
+                form: SettingFormat::Whole,
+                about: "labels to move apart",
+            },
+            Setting {
+                name: "rest",
+                form: SettingFormat::Choice(&["hide", "keep"]),
+                about: "hide or keep everything outside these labels",
+            },
         ],
         example,
         build,
@@ -48,19 +57,33 @@ pub(super) const KIND: Kind = Kind {
 
 /// The eight octants of a ball, from that phantom's label map.
 fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
-    vec![("label", Argument::Numbers((1..=8).map(|l| l as f32).collect())), ("labels", Argument::Text("phantom:octants:size=64".into()))]
+    vec![
+        ("label", Argument::Numbers((1..=8).map(|l| l as f32).collect())),
+        ("labels", Argument::Text("phantom:octants:size=64".into())),
+    ]
 }
 
 fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let settings = inputs.settings;
-    let labels =
-        settings.whole("label")?.filter(|l| !l.is_empty()).ok_or_else(|| Error::value("label", "is missing; name the labels that move apart"))?;
+    let labels = settings
+        .whole("label")?
+        .filter(|l| !l.is_empty())
+        .ok_or_else(|| Error::value("label", "is missing; name the labels that move apart"))?;
     if labels.len() > MAX_LABELS {
-        return Err(Error::value("label", format!("{} labels are too many; at most {MAX_LABELS} can be moved apart", labels.len())));
+        return Err(Error::value(
+            "label",
+            format!(
+                "{} labels are too many; at most {MAX_LABELS} can be moved apart",
+                labels.len()
+            ),
+        ));
     }
     let keeps_unlabeled = settings.choice("rest", &["hide", "keep"])? == "keep";
     let volume = inputs.library.labels(settings)?;
-    let fields = labels.iter().map(|l| inputs.library.label_distance(settings, "label", &[*l])).collect::<Result<Vec<_>>>()?;
+    let fields = labels
+        .iter()
+        .map(|l| inputs.library.label_distance(settings, "label", &[*l]))
+        .collect::<Result<Vec<_>>>()?;
     let middles = middles(&volume, &labels);
     let center = middles.iter().sum::<DVec3>() / middles.len() as f64;
     let farthest = middles.iter().map(|m| m.distance(center)).fold(1e-6, f64::max);
@@ -70,11 +93,20 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         .zip(&middles)
         .map(|(distance, m)| {
             let way = ((*m - center) / farthest).as_vec3() * (c.value("gap") * c.progress);
-            LabelPiece { distance, way: local_from_world * way }
+            LabelPiece {
+                distance,
+                way: local_from_world * way,
+            }
         })
         .collect();
     let acts = c.value("gap") * c.progress > 0.0;
-    Ok(Box::new(ExplodeLabels { pieces, keeps_unlabeled, world_from_local: inputs.world_from_local, acts, margin: 2.0 * c.texel_mm }))
+    Ok(Box::new(ExplodeLabels {
+        pieces,
+        keeps_unlabeled,
+        world_from_local: inputs.world_from_local,
+        acts,
+        margin: 2.0 * c.texel_mm,
+    }))
 }
 
 /// Centres of the voxels of each label, mm.
@@ -95,10 +127,14 @@ fn middles(volume: &Volume, labels: &[usize]) -> Vec<DVec3> {
     let slices: Vec<_> = (0..nz).into_par_iter().map(of_slice).collect();
     // In order, so that the sums do not depend on the number of threads.
     let sums = slices.into_iter().fold(none(), |mut sums, slice| {
-        sums.iter_mut().zip(slice).for_each(|(sum, s)| *sum = (sum.0 + s.0, sum.1 + s.1));
+        sums.iter_mut()
+            .zip(slice)
+            .for_each(|(sum, s)| *sum = (sum.0 + s.0, sum.1 + s.1));
         sums
     });
-    sums.into_iter().map(|(sum, count)| volume.world_from_voxel.transform_point3(sum / count.max(1.0))).collect()
+    sums.into_iter()
+        .map(|(sum, count)| volume.world_from_voxel.transform_point3(sum / count.max(1.0)))
+        .collect()
 }
 
 struct LabelPiece {
@@ -125,7 +161,10 @@ impl ExplodeLabels {
 impl Field for ExplodeLabels {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let (mut total, mut sum) = (0.0, Vec3::ZERO);
         let mut deepest = f32::NEG_INFINITY;
@@ -141,7 +180,11 @@ impl Field for ExplodeLabels {
         if self.keeps_unlabeled {
             // The original positions of the pieces are empty; elsewhere everything unlabelled
             // remains.
-            let left = self.pieces.iter().map(|p| self.inside(p, q)).fold(f32::NEG_INFINITY, f32::max);
+            let left = self
+                .pieces
+                .iter()
+                .map(|p| self.inside(p, q))
+                .fold(f32::NEG_INFINITY, f32::max);
             let rest = (-left).min(-deepest - 2.0 * self.margin);
             if rest > 0.0 {
                 source = q;
@@ -151,14 +194,22 @@ impl Field for ExplodeLabels {
             }
             cut_distance_mm = cut_distance_mm.max(rest);
         }
-        Backward { source, cut_distance_mm }
+        Backward {
+            source,
+            cut_distance_mm,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         if !self.acts {
             return Some(q);
         }
-        let own = self.pieces.iter().map(|p| (self.inside(p, q), p)).max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(depth, _)| *depth > 0.0)?;
+        let own = self
+            .pieces
+            .iter()
+            .map(|p| (self.inside(p, q), p))
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .filter(|(depth, _)| *depth > 0.0)?;
         let to = q + normalize_or(own.1.way, Vec3::ZERO) * own.1.way.length();
         (self.backward(to).source.distance_squared(q) < 1e-6).then_some(to)
     }

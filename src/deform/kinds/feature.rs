@@ -15,8 +15,8 @@
 
 use super::peel::Peel;
 use super::{
-    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter, Setting,
-    SettingFormat, forward_numerically,
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, GapResolution, Kind,
+    NO_CUT_DISTANCE_MM, Parameter, Setting, SettingFormat, forward_numerically,
 };
 use crate::Result;
 use crate::deform::Argument;
@@ -26,9 +26,21 @@ use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
 
 const SURFACE: &[Setting] = &[
-    Setting { name: "label", form: SettingFormat::Whole, about: "labels whose surface is followed" },
-    Setting { name: "mask", form: SettingFormat::File, about: "a file whose voxels above 0 are inside" },
-    Setting { name: "iso", form: SettingFormat::Number, about: "threshold of the body's surface; automatic if not set" },
+    Setting {
+        name: "label",
+        form: SettingFormat::Whole,
+        about: "labels whose surface is followed",
+    },
+    Setting {
+        name: "mask",
+        form: SettingFormat::File,
+        about: "a file whose voxels above 0 are inside",
+    },
+    Setting {
+        name: "iso",
+        form: SettingFormat::Number,
+        about: "threshold of the body's surface; automatic if not set",
+    },
 ];
 
 fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
@@ -36,7 +48,12 @@ fn example(_: &Bounds) -> Vec<(&'static str, Argument)> {
 }
 
 const fn depth(default: f32) -> Parameter {
-    Parameter::mm("depth", BoxLength::Fixed(default), [BoxLength::Fixed(0.0), BoxLength::Fixed(500.0)], "depth below the surface")
+    Parameter::mm(
+        "depth",
+        BoxLength::Fixed(default),
+        [BoxLength::Fixed(0.0), BoxLength::Fixed(500.0)],
+        "depth below the surface",
+    )
 }
 
 const fn kind(
@@ -56,15 +73,29 @@ const fn kind(
         nonzero_faces: [false; 6],
         locked_to_view: false,
         shape: None,
-        build: FieldBuilder::Sourced { settings: SURFACE, example, build },
+        build: FieldBuilder::Sourced {
+            settings: SURFACE,
+            example,
+            build,
+        },
     }
 }
 
 pub(super) const STRIP: Kind = Kind {
     cube_scale: 1.1,
-    ..kind("strip", "removes everything shallower than a depth below a surface, within the box", &[depth(8.0)], |c, inputs| {
-        Ok(Box::new(SurfaceStrip { surface: Surface::new(inputs)?, depth: c.value("depth") * c.progress, half: c.half(), acts: c.progress > 0.0 }))
-    })
+    ..kind(
+        "strip",
+        "removes everything shallower than a depth below a surface, within the box",
+        &[depth(8.0)],
+        |c, inputs| {
+            Ok(Box::new(SurfaceStrip {
+                surface: Surface::new(inputs)?,
+                depth: c.value("depth") * c.progress,
+                half: c.half(),
+                acts: c.progress > 0.0,
+            }))
+        },
+    )
 };
 
 pub(super) const LIFT: Kind = kind(
@@ -72,7 +103,12 @@ pub(super) const LIFT: Kind = kind(
     "lifts a surface layer of a given depth off along its normals",
     &[
         depth(10.0),
-        Parameter::mm("height", BoxLength::OfRadius(0.2), [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.45)], "height by which the layer is lifted"),
+        Parameter::mm(
+            "height",
+            BoxLength::OfRadius(0.2),
+            [BoxLength::Fixed(0.0), BoxLength::OfRadius(0.45)],
+            "height by which the layer is lifted",
+        ),
     ],
     |c, inputs| {
         Ok(Box::new(Lift {
@@ -106,7 +142,12 @@ pub(super) const OFFSET: Kind = Kind {
         ],
         |c, inputs| {
             let amount = c.value("amount") * c.progress;
-            Ok(Box::new(Offset { surface: Surface::new(inputs)?, amount, band: c.value("band").max(2.5 * amount.abs()), half: c.half() }))
+            Ok(Box::new(Offset {
+                surface: Surface::new(inputs)?,
+                amount,
+                band: c.value("band").max(2.5 * amount.abs()),
+                half: c.half(),
+            }))
         },
     )
 };
@@ -132,7 +173,12 @@ pub(super) const PEEL: Kind = Kind {
             // Where the box's axis leaves the body: the flap is on that side, and everything far
             // below it is unaffected.
             let top = surface.top(c.half().z);
-            Ok(Box::new(SurfacePeel { peel: Peel::new(c), surface, lowest: top - 0.5 * c.size_mm.z, acts: c.progress > 0.0 }))
+            Ok(Box::new(SurfacePeel {
+                peel: Peel::new(c),
+                surface,
+                lowest: top - 0.5 * c.size_mm.z,
+                acts: c.progress > 0.0,
+            }))
         },
     )
 };
@@ -147,7 +193,11 @@ struct Surface {
 impl Surface {
     fn new(inputs: &FieldInputs) -> Result<Self> {
         let local_from_world = Mat3::from(inputs.world_from_local.matrix3).inverse();
-        Ok(Self { distance: inputs.library.region(inputs.settings)?, world_from_local: inputs.world_from_local, local_from_world })
+        Ok(Self {
+            distance: inputs.library.region(inputs.settings)?,
+            world_from_local: inputs.world_from_local,
+            local_from_world,
+        })
     }
 
     /// Height above the surface, mm; negative inside.
@@ -157,7 +207,9 @@ impl Surface {
 
     /// Unit normal pointing out of the body.
     fn outward(&self, q: Vec3) -> Vec3 {
-        let g = self.distance.gradient(self.world_from_local.transform_point3(q), 1.0);
+        let g = self
+            .distance
+            .gradient(self.world_from_local.transform_point3(q), 1.0);
         normalize_or(self.local_from_world * -g, Vec3::Z)
     }
 
@@ -165,7 +217,10 @@ impl Surface {
     fn top(&self, half_z: f32) -> f32 {
         let steps = 512;
         let z = |n: usize| half_z * (1.0 - 2.0 * n as f32 / steps as f32);
-        (0..=steps).map(z).find(|z| self.height(Vec3::new(0.0, 0.0, *z)) < 0.0).unwrap_or(0.0)
+        (0..=steps)
+            .map(z)
+            .find(|z| self.height(Vec3::new(0.0, 0.0, *z)) < 0.0)
+            .unwrap_or(0.0)
     }
 
     /// The point above (x, y) at a height, searched along z within `reach` of a first guess, and
@@ -177,7 +232,8 @@ impl Surface {
             if off.abs() < 1e-3 {
                 break;
             }
-            let slope = (self.height(Vec3::new(x, y, z + 0.5)) - self.height(Vec3::new(x, y, z - 0.5))).clamp(0.3, 1.5);
+            let slope = (self.height(Vec3::new(x, y, z + 0.5)) - self.height(Vec3::new(x, y, z - 0.5)))
+                .clamp(0.3, 1.5);
             z = (z - off / slope).clamp(guess - reach, guess + reach);
             off = self.height(Vec3::new(x, y, z)) - height;
         }
@@ -200,11 +256,17 @@ struct SurfaceStrip {
 impl Field for SurfaceStrip {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let d = q.abs() - self.half;
         let outside = d.max(Vec3::ZERO).length() + d.max_element().min(0.0);
-        Backward { source: q, cut_distance_mm: (-self.depth - self.surface.height(q)).max(outside) }
+        Backward {
+            source: q,
+            cut_distance_mm: (-self.depth - self.surface.height(q)).max(outside),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -227,18 +289,33 @@ impl Field for Lift {
         if height <= 0.0 || above_cut <= 0.0 {
             return Backward {
                 source: q,
-                cut_distance_mm: if height > 0.0 { self.gaps.distance(-above_cut, height / 2.0) } else { NO_CUT_DISTANCE_MM },
+                cut_distance_mm: if height > 0.0 {
+                    self.gaps.distance(-above_cut, height / 2.0)
+                } else {
+                    NO_CUT_DISTANCE_MM
+                },
             };
         }
         // In the gap the source stays at the cut, so that D is continuous from one side to the
         // other.
         let down = above_cut.min(height);
-        let cut = if above_cut < height { -above_cut.min(height - above_cut) } else { above_cut - height };
-        Backward { source: q - self.surface.outward(q) * down, cut_distance_mm: self.gaps.distance(cut, height / 2.0) }
+        let cut = if above_cut < height {
+            -above_cut.min(height - above_cut)
+        } else {
+            above_cut - height
+        };
+        Backward {
+            source: q - self.surface.outward(q) * down,
+            cut_distance_mm: self.gaps.distance(cut, height / 2.0),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
-        if self.surface.height(q) <= -self.depth { Some(q) } else { forward_numerically(self, q) }
+        if self.surface.height(q) <= -self.depth {
+            Some(q)
+        } else {
+            forward_numerically(self, q)
+        }
     }
 }
 
@@ -253,11 +330,17 @@ impl Field for Offset {
     fn backward(&self, q: Vec3) -> Backward {
         let strength = self.amount * lens(q, self.half);
         if strength == 0.0 {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         // The band lies around the displaced surface.
         let fall = 1.0 - smoothstep(0.0, self.band, (self.surface.height(q) - strength).abs());
-        Backward { source: q - self.surface.outward(q) * (strength * fall), cut_distance_mm: NO_CUT_DISTANCE_MM }
+        Backward {
+            source: q - self.surface.outward(q) * (strength * fall),
+            cut_distance_mm: NO_CUT_DISTANCE_MM,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -281,22 +364,36 @@ impl SurfacePeel {
 
     /// The point with given flattened coordinates, and its error in height.
     fn raised(&self, flat: Vec3, guess: f32) -> (Vec3, f32) {
-        self.surface.at_height(flat.x, flat.y, flat.z - self.peel.top(), guess, self.peel.reach())
+        self.surface
+            .at_height(flat.x, flat.y, flat.z - self.peel.top(), guess, self.peel.reach())
     }
 }
 
 impl Field for SurfacePeel {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.acts || q.z < self.lowest {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let flat = self.flattened(q);
         let inner = self.peel.backward(flat);
         if inner.source == flat {
-            return Backward { source: q, cut_distance_mm: inner.cut_distance_mm };
+            return Backward {
+                source: q,
+                cut_distance_mm: inner.cut_distance_mm,
+            };
         }
         let (source, off) = self.raised(inner.source, q.z + inner.source.z - flat.z);
-        Backward { source, cut_distance_mm: if off < 1.0 { inner.cut_distance_mm } else { -NO_CUT_DISTANCE_MM } }
+        Backward {
+            source,
+            cut_distance_mm: if off < 1.0 {
+                inner.cut_distance_mm
+            } else {
+                -NO_CUT_DISTANCE_MM
+            },
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -305,7 +402,11 @@ impl Field for SurfacePeel {
         }
         let flat = self.flattened(q);
         let to = self.peel.forward(flat)?;
-        let there = if to == flat { q } else { self.raised(to, q.z + to.z - flat.z).0 };
+        let there = if to == flat {
+            q
+        } else {
+            self.raised(to, q.z + to.z - flat.z).0
+        };
         // Where the search along z did not reach the requested height, the surface has no such
         // point.
         (self.backward(there).source.distance_squared(q) < 1e-6).then_some(there)

@@ -6,7 +6,10 @@
 //! perspective.
 
 use super::outline::Outline;
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, Parameter, Setting, SettingFormat};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, Parameter,
+    Setting, SettingFormat,
+};
 use crate::deform::Argument;
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -35,7 +38,11 @@ pub(super) const KIND: Kind = Kind {
                 form: SettingFormat::Rows(2),
                 about: "x,y of the outline in the box's plane through its centre, mm (x right, y up in the view)",
             },
-            Setting { name: "invert", form: SettingFormat::Flag, about: "true removes what lies around the outline instead" },
+            Setting {
+                name: "invert",
+                form: SettingFormat::Flag,
+                about: "true removes what lies around the outline instead",
+            },
         ],
         example,
         build,
@@ -54,9 +61,18 @@ fn example(bounds: &Bounds) -> Vec<(&'static str, Argument)> {
 }
 
 fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
-    let numbers = inputs.settings.numbers("points")?.ok_or_else(|| Error::value("points", "are missing; give the outline's x,y in mm"))?;
+    let numbers = inputs
+        .settings
+        .numbers("points")?
+        .ok_or_else(|| Error::value("points", "are missing; give the outline's x,y in mm"))?;
     if numbers.len() % 2 != 0 {
-        return Err(Error::value("points", format!("has {} numbers; each point of the outline needs two (x,y)", numbers.len())));
+        return Err(Error::value(
+            "points",
+            format!(
+                "has {} numbers; each point of the outline needs two (x,y)",
+                numbers.len()
+            ),
+        ));
     }
     let mut outline: Vec<Vec2> = numbers.chunks_exact(2).map(|p| Vec2::new(p[0], p[1])).collect();
     outline.dedup_by(|a, b| a.distance(*b) < 1e-4);
@@ -64,20 +80,47 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
         outline.pop();
     }
     if outline.len() < 3 {
-        return Err(Error::value("points", format!("an outline of {} points encloses nothing; it needs 3", outline.len())));
+        return Err(Error::value(
+            "points",
+            format!(
+                "an outline of {} points encloses nothing; it needs 3",
+                outline.len()
+            ),
+        ));
     }
     let outline = Outline::new(outline);
     if let Some((a, b)) = outline.crossing() {
-        return Err(Error::value("points", format!("the outline crosses itself: its edges {} and {} meet", a + 1, b + 1)));
+        return Err(Error::value(
+            "points",
+            format!(
+                "the outline crosses itself: its edges {} and {} meet",
+                a + 1,
+                b + 1
+            ),
+        ));
     }
-    let side = if inputs.settings.flag("invert")? { -1.0 } else { 1.0 };
-    Ok(Box::new(LassoCut { outline, eye: c.value("eye"), side, progress: c.progress, reach: c.size_mm.length() }))
+    let side = if inputs.settings.flag("invert")? {
+        -1.0
+    } else {
+        1.0
+    };
+    Ok(Box::new(LassoCut {
+        outline,
+        eye: c.value("eye"),
+        side,
+        progress: c.progress,
+        reach: c.size_mm.length(),
+    }))
 }
 
 /// Factor by which an outline widens at a height `z` towards the viewer, for an eye at this
 /// distance (0: parallel).
 pub(super) fn widening(eye: f32, z: f32) -> f32 {
-    if eye > 0.0 { ((eye - z) / eye).max(1e-3) } else { 1.0 }
+    if eye > 0.0 {
+        ((eye - z) / eye).max(1e-3)
+    } else {
+        1.0
+    }
 }
 
 struct LassoCut {
@@ -99,13 +142,20 @@ impl LassoCut {
         let side = self.side * self.outline.signed_distance(q.xy() / widening) * widening;
         // Progress cuts in from the viewer's side.
         let front = self.reach * (0.5 - self.progress) - q.z;
-        if self.progress < 1.0 { side.max(front) } else { side }
+        if self.progress < 1.0 {
+            side.max(front)
+        } else {
+            side
+        }
     }
 }
 
 impl Field for LassoCut {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: q, cut_distance_mm: self.distance(q) }
+        Backward {
+            source: q,
+            cut_distance_mm: self.distance(q),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {

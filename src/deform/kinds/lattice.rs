@@ -7,7 +7,10 @@
 //! first two derivatives vanish on all faces. Both are forward maps; the inverse is found
 //! numerically (`deform::invert`) for every texel, and folds are cut away.
 
-use super::{Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Setting, SettingFormat};
+use super::{
+    Backward, DefaultSize, Field, FieldBuilder, FieldContext, FieldInputs, Kind, NO_CUT_DISTANCE_MM, Setting,
+    SettingFormat,
+};
 use crate::deform::{Argument, invert};
 use crate::math::Bounds;
 use crate::{Error, Result};
@@ -30,8 +33,16 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Sourced {
         settings: &[
-            Setting { name: "lattice", form: SettingFormat::Whole, about: "control points along x, y, z; 4,4,4 by default" },
-            Setting { name: "basis", form: SettingFormat::Choice(&["bernstein", "b-spline"]), about: "bernstein or b-spline" },
+            Setting {
+                name: "lattice",
+                form: SettingFormat::Whole,
+                about: "control points along x, y, z; 4,4,4 by default",
+            },
+            Setting {
+                name: "basis",
+                form: SettingFormat::Choice(&["bernstein", "b-spline"]),
+                about: "bernstein or b-spline",
+            },
             Setting {
                 name: "offsets",
                 form: SettingFormat::RowsOrFile(6),
@@ -58,31 +69,67 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     let bernstein = settings.choice("basis", &["bernstein", "b-spline"])? == "bernstein";
     let counts = settings.whole("lattice")?.unwrap_or_else(|| vec![4; 3]);
     let most = MAX_SIZE[usize::from(!bernstein)];
-    let size: [usize; 3] = counts[..].try_into().map_err(|_| Error::value("lattice", format!("has {} numbers; three are needed", counts.len())))?;
+    let size: [usize; 3] = counts[..].try_into().map_err(|_| {
+        Error::value(
+            "lattice",
+            format!("has {} numbers; three are needed", counts.len()),
+        )
+    })?;
     if size.iter().any(|n| !(2..=most).contains(n)) {
-        return Err(Error::value("lattice", format!("{size:?} cannot be used; 2 to {most} control points along each axis are needed")));
+        return Err(Error::value(
+            "lattice",
+            format!("{size:?} cannot be used; 2 to {most} control points along each axis are needed"),
+        ));
     }
     let numbers = match settings.0.get("offsets") {
         Some(Argument::Text(path)) => {
             let pairs = crate::deform::points::read_pairs(&inputs.library.path(path))?;
-            pairs.iter().flat_map(|p| [p.from.to_array(), p.to.to_array()].concat()).map(|v| v as f32).collect()
+            pairs
+                .iter()
+                .flat_map(|p| [p.from.to_array(), p.to.to_array()].concat())
+                .map(|v| v as f32)
+                .collect()
         }
-        _ => settings.numbers("offsets")?.ok_or_else(|| Error::value("offsets", "are missing; say which control points move, and by how much"))?,
+        _ => settings.numbers("offsets")?.ok_or_else(|| {
+            Error::value(
+                "offsets",
+                "are missing; say which control points move, and by how much",
+            )
+        })?,
     };
     if numbers.is_empty() || numbers.len() % 6 != 0 {
-        return Err(Error::value("offsets", format!("has {} numbers; each control point needs six: i,j,k,dx,dy,dz", numbers.len())));
+        return Err(Error::value(
+            "offsets",
+            format!(
+                "has {} numbers; each control point needs six: i,j,k,dx,dy,dz",
+                numbers.len()
+            ),
+        ));
     }
     let mut offsets = vec![DVec3::ZERO; size.iter().product()];
     for row in numbers.chunks_exact(6) {
         let index: [usize; 3] = std::array::from_fn(|a| row[a] as usize);
         if (0..3).any(|a| row[a] < 0.0 || row[a].fract() != 0.0 || index[a] >= size[a]) {
-            return Err(Error::value("offsets", format!("the lattice of {size:?} has no control point {},{},{}", row[0], row[1], row[2])));
+            return Err(Error::value(
+                "offsets",
+                format!(
+                    "the lattice of {size:?} has no control point {},{},{}",
+                    row[0], row[1], row[2]
+                ),
+            ));
         }
         offsets[(index[2] * size[1] + index[1]) * size[0] + index[0]] =
             DVec3::new(f64::from(row[3]), f64::from(row[4]), f64::from(row[5])) * f64::from(c.progress);
     }
     let h = f64::from(c.texel_mm) * 0.25;
-    Ok(Box::new(LatticeField { size, offsets, box_mm: c.size_mm.as_dvec3(), bernstein, moves: c.progress > 0.0, h }))
+    Ok(Box::new(LatticeField {
+        size,
+        offsets,
+        box_mm: c.size_mm.as_dvec3(),
+        bernstein,
+        moves: c.progress > 0.0,
+        h,
+    }))
 }
 
 struct LatticeField {
@@ -148,14 +195,25 @@ impl LatticeField {
 impl Field for LatticeField {
     fn backward(&self, q: Vec3) -> Backward {
         if !self.moves {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let y = q.as_dvec3();
         let s = invert::point(&|p| self.moved(p), y, y, self.h, 1e-4);
-        let source = if s.residual.is_finite() { s.source.as_vec3() } else { q };
+        let source = if s.residual.is_finite() {
+            s.source.as_vec3()
+        } else {
+            q
+        };
         Backward {
             source,
-            cut_distance_mm: if s.found || s.residual < 0.02 && s.determinant > 0.0 { NO_CUT_DISTANCE_MM } else { -NO_CUT_DISTANCE_MM },
+            cut_distance_mm: if s.found || s.residual < 0.02 && s.determinant > 0.0 {
+                NO_CUT_DISTANCE_MM
+            } else {
+                -NO_CUT_DISTANCE_MM
+            },
         }
     }
 

@@ -117,18 +117,44 @@ pub struct Parameter {
 
 impl Parameter {
     /// A length, mm.
-    const fn mm(name: &'static str, default: BoxLength, [min, max]: [BoxLength; 2], about: &'static str) -> Self {
-        Self { name, unit: Unit::Mm, default, min, max, about }
+    const fn mm(
+        name: &'static str,
+        default: BoxLength,
+        [min, max]: [BoxLength; 2],
+        about: &'static str,
+    ) -> Self {
+        Self {
+            name,
+            unit: Unit::Mm,
+            default,
+            min,
+            max,
+            about,
+        }
     }
 
     /// An angle, degrees.
     const fn degrees(name: &'static str, default: f32, [min, max]: [f32; 2], about: &'static str) -> Self {
-        Self { name, unit: Unit::Degrees, default: BoxLength::Fixed(default), min: BoxLength::Fixed(min), max: BoxLength::Fixed(max), about }
+        Self {
+            name,
+            unit: Unit::Degrees,
+            default: BoxLength::Fixed(default),
+            min: BoxLength::Fixed(min),
+            max: BoxLength::Fixed(max),
+            about,
+        }
     }
 
     /// A pure number.
     const fn number(name: &'static str, default: f32, [min, max]: [f32; 2], about: &'static str) -> Self {
-        Self { name, unit: Unit::None, default: BoxLength::Fixed(default), min: BoxLength::Fixed(min), max: BoxLength::Fixed(max), about }
+        Self {
+            name,
+            unit: Unit::None,
+            default: BoxLength::Fixed(default),
+            min: BoxLength::Fixed(min),
+            max: BoxLength::Fixed(max),
+            about,
+        }
     }
 }
 
@@ -216,7 +242,11 @@ pub struct FieldInputs<'a> {
 impl FieldContext<'_> {
     /// The value of one of the kind's parameters; NaN if it has none of that name.
     fn value(&self, name: &str) -> f32 {
-        self.parameters.iter().zip(self.values).find(|(p, _)| p.name == name).map_or(f32::NAN, |(_, v)| *v)
+        self.parameters
+            .iter()
+            .zip(self.values)
+            .find(|(p, _)| p.name == name)
+            .map_or(f32::NAN, |(_, v)| *v)
     }
 
     fn half(&self) -> Vec3 {
@@ -224,7 +254,10 @@ impl FieldContext<'_> {
     }
 
     fn gaps(&self) -> GapResolution {
-        GapResolution { ramp_mm: self.ramp_mm, texel_mm: self.texel_mm }
+        GapResolution {
+            ramp_mm: self.ramp_mm,
+            texel_mm: self.texel_mm,
+        }
     }
 }
 
@@ -248,8 +281,16 @@ const NO_CUT_DISTANCE_MM: f32 = 1e6;
 
 /// Settings of analytic removals.
 pub const CUT_SETTINGS: &[Setting] = &[
-    Setting { name: "invert", form: SettingFormat::Flag, about: "true removes what is outside instead" },
-    Setting { name: "group", form: SettingFormat::Words, about: "name of a group; cuts in a group are combined" },
+    Setting {
+        name: "invert",
+        form: SettingFormat::Flag,
+        about: "true removes what is outside instead",
+    },
+    Setting {
+        name: "group",
+        form: SettingFormat::Words,
+        about: "name of a group; cuts in a group are combined",
+    },
     Setting {
         name: "combine",
         form: SettingFormat::Choice(&["or", "and"]),
@@ -304,7 +345,13 @@ pub fn list() -> impl Iterator<Item = &'static Kind> {
 /// An unknown name (the message names the closest known one).
 pub fn kind(name: &str) -> Result<&'static Kind> {
     list().find(|k| k.name == name).ok_or_else(|| {
-        Error::value(format!("deformation \"{name}\""), format!("there is no such kind; {}", suggestion(name, list().map(|k| k.name))))
+        Error::value(
+            format!("deformation \"{name}\""),
+            format!(
+                "there is no such kind; {}",
+                suggestion(name, list().map(|k| k.name))
+            ),
+        )
     })
 }
 
@@ -339,13 +386,29 @@ impl Kind {
     /// # Errors
     /// A parameter that the kind does not have (the message names the closest one), or a value
     /// outside its range.
-    pub fn values<'a>(&self, given: impl IntoIterator<Item = (&'a str, f32)>, size_mm: Vec3) -> Result<Vec<f32>> {
-        let mut values: Vec<f32> = self.parameters.iter().map(|p| p.default.resolve(size_mm)).collect();
+    pub fn values<'a>(
+        &self,
+        given: impl IntoIterator<Item = (&'a str, f32)>,
+        size_mm: Vec3,
+    ) -> Result<Vec<f32>> {
+        let mut values: Vec<f32> = self
+            .parameters
+            .iter()
+            .map(|p| p.default.resolve(size_mm))
+            .collect();
         for (name, value) in given {
             let Some(n) = self.parameters.iter().position(|p| p.name == name) else {
                 let common = ["center", "size", "rotate", "progress", "storage", "resolution"];
-                let valid_names = self.parameters.iter().map(|p| p.name).chain(self.settings().map(|s| s.name)).chain(common);
-                return Err(Error::value(format!("{}: {name}", self.name), format!("there is no such parameter; {}", suggestion(name, valid_names))));
+                let valid_names = self
+                    .parameters
+                    .iter()
+                    .map(|p| p.name)
+                    .chain(self.settings().map(|s| s.name))
+                    .chain(common);
+                return Err(Error::value(
+                    format!("{}: {name}", self.name),
+                    format!("there is no such parameter; {}", suggestion(name, valid_names)),
+                ));
             };
             let p = &self.parameters[n];
             let (min, max) = (p.min.resolve(size_mm), p.max.resolve(size_mm));
@@ -357,7 +420,10 @@ impl Kind {
                     Unit::Degrees => " degrees",
                     Unit::None => "",
                 };
-                return Err(Error::value(format!("{}: {name}", self.name), format!("{value} is outside {min} to {max}{unit}")));
+                return Err(Error::value(
+                    format!("{}: {name}", self.name),
+                    format!("{value} is outside {min} to {max}{unit}"),
+                ));
             }
             values[n] = value;
         }
@@ -366,25 +432,61 @@ impl Kind {
 
     /// The texels of the map's cube for a box of the given size.
     fn grid(&self, size_mm: Vec3, resolution: Option<usize>) -> [usize; 3] {
-        let longest = (0..3).filter(|&a| self.varies[a]).map(|a| size_mm[a]).fold(0.0, f32::max);
+        let longest = (0..3)
+            .filter(|&a| self.varies[a])
+            .map(|a| size_mm[a])
+            .fold(0.0, f32::max);
         let texels = resolution.unwrap_or(self.resolution) as f32;
-        std::array::from_fn(|a| if self.varies[a] { ((texels * size_mm[a] / longest).round() as usize).clamp(8, 512) } else { 1 })
+        std::array::from_fn(|a| {
+            if self.varies[a] {
+                ((texels * size_mm[a] / longest).round() as usize).clamp(8, 512)
+            } else {
+                1
+            }
+        })
     }
 
     /// Grid and context for sampling the kind with these values.
-    fn context<'a>(&self, values: &'a [f32], progress: f32, size_mm: Vec3, sampling: &Sampling) -> ([usize; 3], FieldContext<'a>) {
+    fn context<'a>(
+        &self,
+        values: &'a [f32],
+        progress: f32,
+        size_mm: Vec3,
+        sampling: &Sampling,
+    ) -> ([usize; 3], FieldContext<'a>) {
         let grid = self.grid(size_mm, sampling.resolution);
         let cube_mm = size_mm * self.cube_scale;
-        let texel_mm = (0..3).filter(|&a| grid[a] > 1).map(|a| cube_mm[a] / (grid[a] - 1) as f32).fold(0.0, f32::max);
+        let texel_mm = (0..3)
+            .filter(|&a| grid[a] > 1)
+            .map(|a| cube_mm[a] / (grid[a] - 1) as f32)
+            .fold(0.0, f32::max);
         let ramp_mm = sampling.min_ramp_mm.max(2.0 * texel_mm);
-        (grid, FieldContext { parameters: self.parameters, values, progress, size_mm, grid, texel_mm, ramp_mm })
+        (
+            grid,
+            FieldContext {
+                parameters: self.parameters,
+                values,
+                progress,
+                size_mm,
+                grid,
+                texel_mm,
+                ramp_mm,
+            },
+        )
     }
 
     /// The field itself, for tests and tools that need the formula rather than its samples.
     ///
     /// # Errors
     /// An invalid setting, or a file that cannot be read.
-    pub fn field(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
+    pub fn field(
+        &self,
+        values: &[f32],
+        progress: f32,
+        size_mm: Vec3,
+        sampling: &Sampling,
+        inputs: &FieldInputs,
+    ) -> Result<Box<dyn Field>> {
         let (_, context) = self.context(values, progress, size_mm, sampling);
         self.modified(&context, inputs)
     }
@@ -404,23 +506,49 @@ impl Kind {
     ///
     /// # Errors
     /// As [`Self::field`].
-    pub fn map(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<DisplacementMap> {
-        Ok(DisplacementMap::of(&self.definition(values, progress, size_mm, sampling, inputs)?))
+    pub fn map(
+        &self,
+        values: &[f32],
+        progress: f32,
+        size_mm: Vec3,
+        sampling: &Sampling,
+        inputs: &FieldInputs,
+    ) -> Result<DisplacementMap> {
+        Ok(DisplacementMap::of(
+            &self.definition(values, progress, size_mm, sampling, inputs)?,
+        ))
     }
 
     /// The definition that [`Self::map`] samples.
     ///
     /// # Errors
     /// As [`Self::field`].
-    pub fn definition(&self, values: &[f32], progress: f32, size_mm: Vec3, sampling: &Sampling, inputs: &FieldInputs) -> Result<MapDefinition> {
+    pub fn definition(
+        &self,
+        values: &[f32],
+        progress: f32,
+        size_mm: Vec3,
+        sampling: &Sampling,
+        inputs: &FieldInputs,
+    ) -> Result<MapDefinition> {
         let (mut grid, mut context) = self.context(values, progress, size_mm, sampling);
         if modifiers::vary_everywhere(inputs.settings) && self.varies != [true; 3] {
             // Round cuts and spared labels vary along all axes, whatever the kind is.
-            let all = Kind { varies: [true; 3], resolution: self.resolution.min(128), ..*self };
+            let all = Kind {
+                varies: [true; 3],
+                resolution: self.resolution.min(128),
+                ..*self
+            };
             (grid, context) = all.context(values, progress, size_mm, sampling);
         }
         let field = self.modified(&context, inputs)?;
-        Ok(MapDefinition { size: grid, storage: sampling.storage, cube_mm: size_mm * self.cube_scale, ramp_mm: context.ramp_mm, field })
+        Ok(MapDefinition {
+            size: grid,
+            storage: sampling.storage,
+            cube_mm: size_mm * self.cube_scale,
+            ramp_mm: context.ramp_mm,
+            field,
+        })
     }
 
     /// The kind's own non-numeric settings.
@@ -434,7 +562,10 @@ impl Kind {
     /// All non-numeric settings: the kind's own and those common to every kind.
     pub fn settings(&self) -> impl Iterator<Item = &'static Setting> {
         let of_cuts: &[Setting] = if self.shape.is_some() { CUT_SETTINGS } else { &[] };
-        self.own_settings().iter().chain(of_cuts).chain(modifiers::SETTINGS)
+        self.own_settings()
+            .iter()
+            .chain(of_cuts)
+            .chain(modifiers::SETTINGS)
     }
 
     /// Settings that demonstrate the kind in a box with the given bounds (mm, world).
@@ -462,7 +593,10 @@ impl Kind {
             } else if let Argument::Number(v) = value {
                 numbers.push((name.as_str(), *v));
             } else if self.parameters.iter().any(|p| p.name == name) {
-                return Err(Error::value(format!("{}: {name}", self.name), "must be a single number"));
+                return Err(Error::value(
+                    format!("{}: {name}", self.name),
+                    "must be a single number",
+                ));
             } else {
                 // Rejected below, with the closest name.
                 numbers.push((name.as_str(), 0.0));
@@ -474,7 +608,12 @@ impl Kind {
 
 /// The shape that a kind removes, its lengths (mm) and half its angle (radians); none if it is not
 /// analytic, or at progress 0.
-pub fn shape_of(kind: &Kind, values: &[f32], progress: f32, size_mm: Vec3) -> Option<(CutShapeKind, Vec3, f32)> {
+pub fn shape_of(
+    kind: &Kind,
+    values: &[f32],
+    progress: f32,
+    size_mm: Vec3,
+) -> Option<(CutShapeKind, Vec3, f32)> {
     let shape = kind.shape.filter(|_| progress > 0.0)?;
     let (half, half_angle) = removal::shape_of(shape, values, progress, size_mm);
     Some((shape, half, half_angle))

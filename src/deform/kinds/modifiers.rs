@@ -11,8 +11,16 @@ use std::sync::Arc;
 
 /// Settings common to every kind.
 pub(super) const SETTINGS: &[Setting] = &[
-    Setting { name: "spare", form: SettingFormat::Whole, about: "labels to protect from cutting and moving" },
-    Setting { name: "labels", form: SettingFormat::File, about: "file of the label map; by default the volume itself" },
+    Setting {
+        name: "spare",
+        form: SettingFormat::Whole,
+        about: "labels to protect from cutting and moving",
+    },
+    Setting {
+        name: "labels",
+        form: SettingFormat::File,
+        about: "file of the label map; by default the volume itself",
+    },
     Setting {
         name: "mapping",
         form: SettingFormat::Choice(&["none", "cylindrical"]),
@@ -26,15 +34,28 @@ pub fn vary_everywhere(settings: &Arguments) -> bool {
 }
 
 /// The field with the modifiers requested by the settings.
-pub(super) fn apply(field: Box<dyn Field>, context: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
+pub(super) fn apply(
+    field: Box<dyn Field>,
+    context: &FieldContext,
+    inputs: &FieldInputs,
+) -> Result<Box<dyn Field>> {
     let mut field = field;
     if inputs.settings.choice("mapping", &["none", "cylindrical"])? == "cylindrical" {
-        field = Box::new(Cylindrical { inner: field, size_mm: context.size_mm, radius: context.half().x.min(context.half().y) });
+        field = Box::new(Cylindrical {
+            inner: field,
+            size_mm: context.size_mm,
+            radius: context.half().x.min(context.half().y),
+        });
     }
     if let Some(labels) = inputs.settings.whole("spare")? {
         let distance = inputs.library.label_distance(inputs.settings, "spare", &labels)?;
         let fade_mm = 3.0 * context.texel_mm;
-        field = Box::new(Spared { inner: field, distance, world_from_local: inputs.world_from_local, fade_mm });
+        field = Box::new(Spared {
+            inner: field,
+            distance,
+            world_from_local: inputs.world_from_local,
+            fade_mm,
+        });
     }
     Ok(field)
 }
@@ -55,19 +76,30 @@ impl Cylindrical {
     fn unrolled(&self, q: Vec3) -> Vec3 {
         let r = q.xy().length();
         let angle = if r > 0.0 { q.x.atan2(q.y) } else { 0.0 };
-        Vec3::new(angle / TAU * self.size_mm.x, q.z / self.size_mm.z * self.size_mm.y, (r / self.radius - 0.5) * self.size_mm.z)
+        Vec3::new(
+            angle / TAU * self.size_mm.x,
+            q.z / self.size_mm.z * self.size_mm.y,
+            (r / self.radius - 0.5) * self.size_mm.z,
+        )
     }
 
     fn rolled(&self, u: Vec3) -> Vec3 {
         let angle = u.x / self.size_mm.x * TAU;
         let r = ((u.z / self.size_mm.z + 0.5) * self.radius).max(0.0);
-        Vec3::new(r * angle.sin(), r * angle.cos(), u.y / self.size_mm.y * self.size_mm.z)
+        Vec3::new(
+            r * angle.sin(),
+            r * angle.cos(),
+            u.y / self.size_mm.y * self.size_mm.z,
+        )
     }
 
     /// Smallest ratio of a length in the world to the unrolled length.
     fn shrinks(&self, q: Vec3) -> f32 {
         let around = TAU * q.xy().length() / self.size_mm.x;
-        (self.radius / self.size_mm.z).min(self.size_mm.z / self.size_mm.y).min(around).min(1.0)
+        (self.radius / self.size_mm.z)
+            .min(self.size_mm.z / self.size_mm.y)
+            .min(around)
+            .min(1.0)
     }
 }
 
@@ -76,8 +108,15 @@ impl Field for Cylindrical {
         let u = self.unrolled(q);
         let inner = self.inner.backward(u);
         // Where nothing moves, the point itself avoids the rounding of the conversion.
-        let source = if inner.source == u { q } else { self.rolled(inner.source) };
-        Backward { source, cut_distance_mm: inner.cut_distance_mm * self.shrinks(q).max(0.05) }
+        let source = if inner.source == u {
+            q
+        } else {
+            self.rolled(inner.source)
+        };
+        Backward {
+            source,
+            cut_distance_mm: inner.cut_distance_mm * self.shrinks(q).max(0.05),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -104,7 +143,10 @@ impl Field for Spared {
         if (source - q).length_squared() > 0.01 * self.fade_mm * self.fade_mm {
             cut_distance_mm = cut_distance_mm.min(-inside(source));
         }
-        Backward { source, cut_distance_mm: cut_distance_mm.max(here) }
+        Backward {
+            source,
+            cut_distance_mm: cut_distance_mm.max(here),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -113,6 +155,8 @@ impl Field for Spared {
             return Some(q);
         }
         // Near a spared label the displacement fades, and the kind's own forward map does not hold.
-        self.inner.forward(q).filter(|to| self.backward(*to).source.distance_squared(q) < 1e-6)
+        self.inner
+            .forward(q)
+            .filter(|to| self.backward(*to).source.distance_squared(q) < 1e-6)
     }
 }

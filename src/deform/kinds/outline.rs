@@ -33,13 +33,19 @@ impl OutlineNode {
 impl Outline {
     /// The closed outline through at least three points.
     pub fn new(points: Vec<Vec2>) -> Self {
-        let mut outline = Self { nodes: Vec::with_capacity(points.len() / 2 + 1), points };
+        let mut outline = Self {
+            nodes: Vec::with_capacity(points.len() / 2 + 1),
+            points,
+        };
         outline.node(0, outline.points.len());
         outline
     }
 
     fn edge(&self, n: usize) -> (Vec2, Vec2) {
-        (self.points[n], self.points[if n + 1 == self.points.len() { 0 } else { n + 1 }])
+        (
+            self.points[n],
+            self.points[if n + 1 == self.points.len() { 0 } else { n + 1 }],
+        )
     }
 
     /// Adds the node of edges `first` to `end`, and those below it.
@@ -50,7 +56,13 @@ impl Outline {
             let (a, b) = self.edge(n);
             (low, high) = (low.min(a).min(b), high.max(a).max(b));
         }
-        self.nodes.push(OutlineNode { low, high, first, end, halves: None });
+        self.nodes.push(OutlineNode {
+            low,
+            high,
+            first,
+            end,
+            halves: None,
+        });
         if end - first > LEAF {
             let middle = first.midpoint(end);
             self.nodes[at].halves = Some([self.node(first, middle), self.node(middle, end)]);
@@ -61,11 +73,17 @@ impl Outline {
     /// Distance to the outline, positive outside by the even-odd rule.
     pub fn signed_distance(&self, p: Vec2) -> f32 {
         let nearest = self.nearest_squared(0, p, f32::INFINITY).sqrt();
-        if self.crossings_are_odd(0, p) { -nearest } else { nearest }
+        if self.crossings_are_odd(0, p) {
+            -nearest
+        } else {
+            nearest
+        }
     }
 
     fn nearest_squared(&self, node: usize, p: Vec2, best: f32) -> f32 {
-        let OutlineNode { first, end, halves, .. } = self.nodes[node];
+        let OutlineNode {
+            first, end, halves, ..
+        } = self.nodes[node];
         let Some([a, b]) = halves else {
             return (first..end).fold(best, |best, n| {
                 let (a, b) = self.edge(n);
@@ -74,14 +92,33 @@ impl Outline {
                 best.min(ap.distance_squared(ab * t))
             });
         };
-        let (to_a, to_b) = (self.nodes[a].distance_squared(p), self.nodes[b].distance_squared(p));
-        let order = if to_a <= to_b { [(a, to_a), (b, to_b)] } else { [(b, to_b), (a, to_a)] };
-        order.into_iter().fold(best, |best, (half, distance)| if distance < best { self.nearest_squared(half, p, best) } else { best })
+        let (to_a, to_b) = (
+            self.nodes[a].distance_squared(p),
+            self.nodes[b].distance_squared(p),
+        );
+        let order = if to_a <= to_b {
+            [(a, to_a), (b, to_b)]
+        } else {
+            [(b, to_b), (a, to_a)]
+        };
+        order.into_iter().fold(best, |best, (half, distance)| {
+            if distance < best {
+                self.nearest_squared(half, p, best)
+            } else {
+                best
+            }
+        })
     }
 
     /// Whether a ray from `p` along x crosses an odd number of edges of a node.
     fn crossings_are_odd(&self, node: usize, p: Vec2) -> bool {
-        let OutlineNode { low, high, first, end, halves } = self.nodes[node];
+        let OutlineNode {
+            low,
+            high,
+            first,
+            end,
+            halves,
+        } = self.nodes[node];
         if high.x < p.x || high.y < p.y || low.y > p.y {
             return false;
         }
@@ -105,7 +142,13 @@ impl Outline {
 
     /// The first edge after edge `n` and its neighbour that crosses it.
     fn crossed(&self, node: usize, n: usize) -> Option<usize> {
-        let OutlineNode { low, high, first, end, halves } = self.nodes[node];
+        let OutlineNode {
+            low,
+            high,
+            first,
+            end,
+            halves,
+        } = self.nodes[node];
         let (a, b) = self.edge(n);
         if end <= n + 2 || a.max(b).cmplt(low).any() || a.min(b).cmpgt(high).any() {
             return None;
@@ -143,7 +186,8 @@ mod tests {
         (0..count)
             .map(|n| {
                 let angle = n as f32 * std::f32::consts::TAU / count as f32;
-                Vec2::from_angle(angle) * (40.0 + depth * (7.0 * angle).sin() + 0.3 * depth * (31.0 * angle).cos())
+                Vec2::from_angle(angle)
+                    * (40.0 + depth * (7.0 * angle).sin() + 0.3 * depth * (31.0 * angle).cos())
             })
             .collect()
     }
@@ -162,7 +206,11 @@ mod tests {
         let mut points = star(500, 20.0);
         assert_eq!(Outline::new(points.clone()).crossing(), None);
         points.swap(100, 103);
-        assert!(Outline::new(points).crossing().is_some_and(|(a, b)| (98..=104).contains(&a) && b > a + 1));
+        assert!(
+            Outline::new(points)
+                .crossing()
+                .is_some_and(|(a, b)| (98..=104).contains(&a) && b > a + 1)
+        );
         let bow = [Vec2::ZERO, Vec2::ONE, Vec2::X, Vec2::Y].to_vec();
         assert_eq!(Outline::new(bow).crossing(), Some((0, 2)));
     }
@@ -172,8 +220,14 @@ mod tests {
         let outline = Outline::new(star(10_000, 25.0));
         let start = std::time::Instant::now();
         assert_eq!(outline.crossing(), None);
-        let sum: f32 = (0..200_000).map(|n| outline.signed_distance(Vec2::new((n % 447) as f32, (n / 447) as f32) * 0.3 - 67.0)).sum();
+        let sum: f32 = (0..200_000)
+            .map(|n| outline.signed_distance(Vec2::new((n % 447) as f32, (n / 447) as f32) * 0.3 - 67.0))
+            .sum();
         // A search of all edges takes minutes for these.
-        assert!(sum.is_finite() && start.elapsed().as_secs_f32() < 10.0, "{:?}", start.elapsed());
+        assert!(
+            sum.is_finite() && start.elapsed().as_secs_f32() < 10.0,
+            "{:?}",
+            start.elapsed()
+        );
     }
 }

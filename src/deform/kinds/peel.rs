@@ -12,7 +12,10 @@
 //! from undisplaced material: between them D must run from the roll's value to zero, and that must
 //! happen where nothing is visible.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind,
+    NO_CUT_DISTANCE_MM, Parameter,
+};
 use glam::{Vec2, Vec3};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -27,7 +30,12 @@ pub(super) const KIND: Kind = Kind {
     name: "peel",
     about: "cuts a flap free and rolls it back about a hinge, towards the box's -x",
     parameters: &[
-        Parameter::mm("depth", BoxLength::OfZ(0.25), [BoxLength::OfZ(0.01), BoxLength::OfZ(0.366)], "thickness of the layer"),
+        Parameter::mm(
+            "depth",
+            BoxLength::OfZ(0.25),
+            [BoxLength::OfZ(0.01), BoxLength::OfZ(0.366)],
+            "thickness of the layer",
+        ),
         Parameter::mm(
             "radius",
             BoxLength::OfZ(0.38),
@@ -80,7 +88,9 @@ impl Peel {
         let radius = c.value("radius").max(1.2 * depth);
         let end = half.x - MARGIN * c.size_mm.x;
         // The roll must stay inside the box behind the hinge, and within its turn.
-        let length = (end + half.x - radius - MARGIN * c.size_mm.x).min(MAX_TURN_RAD * radius).max(0.0);
+        let length = (end + half.x - radius - MARGIN * c.size_mm.x)
+            .min(MAX_TURN_RAD * radius)
+            .max(0.0);
         let flap = length * c.progress;
         Self {
             floor: -half.z + FLOOR * c.size_mm.z,
@@ -122,9 +132,22 @@ impl Peel {
             theta -= TAU;
         }
         let height = self.radius - rho;
-        let side = |angle: f32| if angle.abs() < FRAC_PI_2 { rho * angle.sin() } else { rho * angle.signum() };
-        let distance = height.min(self.depth - height).min(side(theta)).min(side(last - theta));
-        Rolled { along: (theta * self.radius).clamp(0.0, self.flap), height: height.clamp(0.0, self.depth), distance }
+        let side = |angle: f32| {
+            if angle.abs() < FRAC_PI_2 {
+                rho * angle.sin()
+            } else {
+                rho * angle.signum()
+            }
+        };
+        let distance = height
+            .min(self.depth - height)
+            .min(side(theta))
+            .min(side(last - theta));
+        Rolled {
+            along: (theta * self.radius).clamp(0.0, self.flap),
+            height: height.clamp(0.0, self.depth),
+            distance,
+        }
     }
 
     /// Half width of the flap: narrower than its slot, so that the flap's sides do not touch the
@@ -137,16 +160,26 @@ impl Peel {
 impl Field for Peel {
     fn backward(&self, q: Vec3) -> Backward {
         if self.flap < self.texel {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let roll = self.rolled(q);
         let above_floor = q.z - self.floor;
         let inside_flap_y = self.flap_half_y() - q.y.abs();
         let in_roll = roll.distance.min(inside_flap_y);
         // The layer behind the hinge, from which the roll continues.
-        let in_layer = if q.x <= self.hinge { above_floor.min(self.depth - above_floor) } else { -NO_CUT_DISTANCE_MM };
+        let in_layer = if q.x <= self.hinge {
+            above_floor.min(self.depth - above_floor)
+        } else {
+            -NO_CUT_DISTANCE_MM
+        };
         let in_strip = in_roll.max(in_layer);
-        let over_slot = (q.x - self.hinge).min(self.end - q.x).min(self.slot_half_y - q.y.abs()).min(above_floor);
+        let over_slot = (q.x - self.hinge)
+            .min(self.end - q.x)
+            .min(self.slot_half_y - q.y.abs())
+            .min(above_floor);
         let in_slot = over_slot.min(self.depth - above_floor);
         // Over the slot the band extends down into it: if the two only touched, a thin sheet would
         // remain between them.
@@ -166,15 +199,24 @@ impl Field for Peel {
             let margin = (self.texel * 1.5 / between).min(0.45);
             ((to_undisplaced / between - margin) / (1.0 - 2.0 * margin)).clamp(0.0, 1.0)
         };
-        Backward { source: q + continued * weight, cut_distance_mm: in_strip.max(undisplaced) }
+        Backward {
+            source: q + continued * weight,
+            cut_distance_mm: in_strip.max(undisplaced),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         let height = q.z - self.floor;
         let along = q.x - self.hinge;
-        if self.flap < self.texel || along <= 0.0 || along > self.flap || !(0.0..=self.depth).contains(&height) || q.y.abs() > self.slot_half_y {
-            let covered =
-                self.flap >= self.texel && self.rolled(q).distance.min(self.flap_half_y() - q.y.abs()) > -self.clearance && height > self.depth;
+        if self.flap < self.texel
+            || along <= 0.0
+            || along > self.flap
+            || !(0.0..=self.depth).contains(&height)
+            || q.y.abs() > self.slot_half_y
+        {
+            let covered = self.flap >= self.texel
+                && self.rolled(q).distance.min(self.flap_half_y() - q.y.abs()) > -self.clearance
+                && height > self.depth;
             return (!covered).then_some(q);
         }
         if q.y.abs() > self.flap_half_y() {
@@ -182,13 +224,27 @@ impl Field for Peel {
         }
         let theta = along / self.radius;
         let rho = self.radius - height;
-        Some(Vec3::new(self.hinge + rho * theta.sin(), q.y, self.floor + self.radius - rho * theta.cos()))
+        Some(Vec3::new(
+            self.hinge + rho * theta.sin(),
+            q.y,
+            self.floor + self.radius - rho * theta.cos(),
+        ))
     }
 
     fn formula(&self) -> Option<Formula> {
         Some(Formula::new(
             FormulaKind::Peel,
-            &[self.floor, self.depth, self.radius, self.hinge, self.end, self.flap, self.slot_half_y, self.texel, self.clearance],
+            &[
+                self.floor,
+                self.depth,
+                self.radius,
+                self.hinge,
+                self.end,
+                self.flap,
+                self.slot_half_y,
+                self.texel,
+                self.clearance,
+            ],
         ))
     }
 }

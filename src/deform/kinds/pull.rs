@@ -5,15 +5,28 @@
 //! length `amount` of the pull at the upper face. The pull is invertible while `amount` is less
 //! than the height of the box. σ is a length.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM,
+    Parameter,
+};
 use glam::{Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
     name: "pull",
     about: "pulls tissue out along the box's z axis as a Gaussian bump",
     parameters: &[
-        Parameter::mm("amount", BoxLength::OfZ(0.5), [BoxLength::OfZ(-1.0), BoxLength::OfZ(1.0)], "displacement at the upper face, on the axis"),
-        Parameter::mm("sigma", BoxLength::OfRadius(0.4), [BoxLength::OfRadius(0.05), BoxLength::OfRadius(0.4)], "width of the Gaussian"),
+        Parameter::mm(
+            "amount",
+            BoxLength::OfZ(0.5),
+            [BoxLength::OfZ(-1.0), BoxLength::OfZ(1.0)],
+            "displacement at the upper face, on the axis",
+        ),
+        Parameter::mm(
+            "sigma",
+            BoxLength::OfRadius(0.4),
+            [BoxLength::OfRadius(0.05), BoxLength::OfRadius(0.4)],
+            "width of the Gaussian",
+        ),
     ],
     size: DefaultSize::Share([0.6; 3]),
     cube_scale: 1.0,
@@ -24,7 +37,11 @@ pub(super) const KIND: Kind = Kind {
     shape: None,
     build: FieldBuilder::Formula(|c| {
         let [amount, sigma] = [c.value("amount"), c.value("sigma")];
-        Box::new(Pull { half_z: c.half().z, strength: amount * c.progress / c.size_mm.z, sigma })
+        Box::new(Pull {
+            half_z: c.half().z,
+            strength: amount * c.progress / c.size_mm.z,
+            sigma,
+        })
     }),
 };
 
@@ -43,7 +60,10 @@ impl Pull {
 
 impl Field for Pull {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, (q.z + self.half_z) * self.factor(q) - self.half_z), cut_distance_mm: NO_CUT_DISTANCE_MM }
+        Backward {
+            source: Vec3::new(q.x, q.y, (q.z + self.half_z) * self.factor(q) - self.half_z),
+            cut_distance_mm: NO_CUT_DISTANCE_MM,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -52,6 +72,9 @@ impl Field for Pull {
     }
 
     fn formula(&self) -> Option<Formula> {
-        Some(Formula::new(FormulaKind::Pull, &[self.half_z, self.strength, self.sigma]))
+        Some(Formula::new(
+            FormulaKind::Pull,
+            &[self.half_z, self.strength, self.sigma],
+        ))
     }
 }

@@ -6,7 +6,10 @@
 //! stay smooth, the ends do not tear, and the inverse is exact. The opening narrows with depth to
 //! zero at the cut's floor.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, NO_CUT_DISTANCE_MM, Parameter};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind,
+    NO_CUT_DISTANCE_MM, Parameter,
+};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -14,9 +17,24 @@ pub(super) const KIND: Kind = Kind {
     name: "retractor",
     about: "an incision along the box's x axis held open to an ellipse",
     parameters: &[
-        Parameter::mm("length", BoxLength::OfX(0.5), [BoxLength::OfX(0.05), BoxLength::OfX(0.8)], "of the incision"),
-        Parameter::mm("opening", BoxLength::OfY(0.35), [BoxLength::Fixed(0.0), BoxLength::OfY(0.7)], "width of the opening at its widest point"),
-        Parameter::mm("depth", BoxLength::OfZ(0.6), [BoxLength::OfZ(0.05), BoxLength::OfZ(0.95)], "depth of the incision below the box's upper face"),
+        Parameter::mm(
+            "length",
+            BoxLength::OfX(0.5),
+            [BoxLength::OfX(0.05), BoxLength::OfX(0.8)],
+            "of the incision",
+        ),
+        Parameter::mm(
+            "opening",
+            BoxLength::OfY(0.35),
+            [BoxLength::Fixed(0.0), BoxLength::OfY(0.7)],
+            "width of the opening at its widest point",
+        ),
+        Parameter::mm(
+            "depth",
+            BoxLength::OfZ(0.6),
+            [BoxLength::OfZ(0.05), BoxLength::OfZ(0.95)],
+            "depth of the incision below the box's upper face",
+        ),
     ],
     size: DefaultSize::Share([0.6, 0.6, 0.4]),
     cube_scale: 1.0,
@@ -29,9 +47,20 @@ pub(super) const KIND: Kind = Kind {
         let half = c.half();
         let focus = c.value("length") / 2.0;
         // The outermost ellipse stays inside the box.
-        let last = (0.96 * half.x / focus).acosh().min((0.96 * half.y / focus).asinh());
-        let open = (c.value("opening") * c.progress / 2.0 / focus).asinh().min(0.75 * last);
-        Box::new(Retractor { focus, last, open, depth: c.value("depth"), top: half.z, gaps: c.gaps() })
+        let last = (0.96 * half.x / focus)
+            .acosh()
+            .min((0.96 * half.y / focus).asinh());
+        let open = (c.value("opening") * c.progress / 2.0 / focus)
+            .asinh()
+            .min(0.75 * last);
+        Box::new(Retractor {
+            focus,
+            last,
+            open,
+            depth: c.value("depth"),
+            top: half.z,
+            gaps: c.gaps(),
+        })
     }),
 };
 
@@ -59,15 +88,27 @@ impl Retractor {
         // precision where b is negative.
         let b = x * x + y * y - 1.0;
         let root = (b * b + 4.0 * y * y).sqrt();
-        let sinh = if b < 0.0 { (2.0 * y * y / (root - b)).sqrt() } else { (0.5 * (b + root)).sqrt() };
+        let sinh = if b < 0.0 {
+            (2.0 * y * y / (root - b)).sqrt()
+        } else {
+            (0.5 * (b + root)).sqrt()
+        };
         let mu = sinh.asinh();
         // The angle from both coordinates; on the cut itself only x determines it.
-        let nu = if sinh > 1e-6 { (y.abs() / sinh).atan2(x / mu.cosh()) } else { x.clamp(-1.0, 1.0).acos() };
+        let nu = if sinh > 1e-6 {
+            (y.abs() / sinh).atan2(x / mu.cosh())
+        } else {
+            x.clamp(-1.0, 1.0).acos()
+        };
         Vec2::new(mu, nu.copysign(y))
     }
 
     fn cartesian(&self, mu: f32, nu: f32, z: f32) -> Vec3 {
-        Vec3::new(self.focus * mu.cosh() * nu.cos(), self.focus * mu.sinh() * nu.sin(), z)
+        Vec3::new(
+            self.focus * mu.cosh() * nu.cos(),
+            self.focus * mu.sinh() * nu.sin(),
+            z,
+        )
     }
 }
 
@@ -75,17 +116,26 @@ impl Field for Retractor {
     fn backward(&self, q: Vec3) -> Backward {
         let open = self.opening(q.z);
         if open <= 1e-5 {
-            return Backward { source: q, cut_distance_mm: NO_CUT_DISTANCE_MM };
+            return Backward {
+                source: q,
+                cut_distance_mm: NO_CUT_DISTANCE_MM,
+            };
         }
         let e = self.elliptic(q);
         // Length of a unit of μ at this point, for the distance to the lip.
         let scale = self.focus * (e.x.sinh().powi(2) + e.y.sin().powi(2)).sqrt().max(0.05);
         let cut_distance_mm = self.gaps.distance((e.x - open) * scale, self.focus * open.sinh());
         if e.x >= self.last {
-            return Backward { source: q, cut_distance_mm };
+            return Backward {
+                source: q,
+                cut_distance_mm,
+            };
         }
         let mu = ((e.x - open) * self.last / (self.last - open)).max(0.0);
-        Backward { source: self.cartesian(mu, e.y, q.z), cut_distance_mm }
+        Backward {
+            source: self.cartesian(mu, e.y, q.z),
+            cut_distance_mm,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -98,6 +148,17 @@ impl Field for Retractor {
     }
 
     fn formula(&self) -> Option<Formula> {
-        Some(Formula::new(FormulaKind::Retractor, &[self.focus, self.last, self.open, self.depth, self.top, self.gaps.ramp_mm, self.gaps.texel_mm]))
+        Some(Formula::new(
+            FormulaKind::Retractor,
+            &[
+                self.focus,
+                self.last,
+                self.open,
+                self.depth,
+                self.top,
+                self.gaps.ramp_mm,
+                self.gaps.texel_mm,
+            ],
+        ))
     }
 }

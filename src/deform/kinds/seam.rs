@@ -6,7 +6,9 @@
 //! which nothing moves. φ fades with the radius and towards the ends of the seam; r and y are
 //! preserved, hence the inverse is exact.
 
-use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, window};
+use super::{
+    Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, GapResolution, Kind, Parameter, window,
+};
 use crate::math::smoothstep;
 use glam::{Vec2, Vec3};
 
@@ -20,7 +22,12 @@ const RIGID: f32 = 0.75;
 pub(super) const KIND: Kind = Kind {
     name: "seam",
     about: "splits along a seam (the box's y axis) and swings the halves open",
-    parameters: &[Parameter::degrees("angle", 40.0, [0.0, 75.0], "swing of each half")],
+    parameters: &[Parameter::degrees(
+        "angle",
+        40.0,
+        [0.0, 75.0],
+        "swing of each half",
+    )],
     size: DefaultSize::Share([0.9, 0.7, 0.6]),
     cube_scale: 1.0,
     varies: [true; 3],
@@ -72,8 +79,15 @@ impl Field for Seam {
         let r = v.length();
         let beta = v.x.abs().atan2(v.y);
         let open = self.opening(r, q.y);
-        let source_beta = if beta >= self.last_angle { beta } else { self.last_angle * (beta - open).max(0.0) / (self.last_angle - open) };
-        Backward { source: self.at_angle(q, r, source_beta.copysign(v.x)), cut_distance_mm: self.gaps.distance(r * (beta - open), r * open) }
+        let source_beta = if beta >= self.last_angle {
+            beta
+        } else {
+            self.last_angle * (beta - open).max(0.0) / (self.last_angle - open)
+        };
+        Backward {
+            source: self.at_angle(q, r, source_beta.copysign(v.x)),
+            cut_distance_mm: self.gaps.distance(r * (beta - open), r * open),
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -81,14 +95,26 @@ impl Field for Seam {
         let r = v.length();
         let beta = v.x.abs().atan2(v.y);
         let open = self.opening(r, q.y);
-        let to = if beta >= self.last_angle { beta } else { open + beta * (self.last_angle - open) / self.last_angle };
+        let to = if beta >= self.last_angle {
+            beta
+        } else {
+            open + beta * (self.last_angle - open) / self.last_angle
+        };
         Some(self.at_angle(q, r, to.copysign(v.x)))
     }
 
     fn formula(&self) -> Option<Formula> {
         Some(Formula::new(
             FormulaKind::Seam,
-            &[self.last_angle, self.angle, self.half_y, self.hinge_z, self.radius, self.gaps.ramp_mm, self.gaps.texel_mm],
+            &[
+                self.last_angle,
+                self.angle,
+                self.half_y,
+                self.hinge_z,
+                self.radius,
+                self.gaps.ramp_mm,
+                self.gaps.texel_mm,
+            ],
         ))
     }
 }

@@ -48,7 +48,11 @@ impl Setting {
         if text.is_empty() {
             return Ok(None);
         }
-        let words: Vec<&str> = text.split([',', ';']).map(str::trim).filter(|w| !w.is_empty()).collect();
+        let words: Vec<&str> = text
+            .split([',', ';'])
+            .map(str::trim)
+            .filter(|w| !w.is_empty())
+            .collect();
         if words.is_empty() {
             return Err(format!("\"{text}\" names nothing"));
         }
@@ -61,8 +65,12 @@ impl Setting {
                 "false" => Argument::Flag(false),
                 _ => return Err(format!("\"{text}\" is neither true nor false")),
             },
-            SettingFormat::Choice(all) | SettingFormat::OneOf(all) if all.contains(&text) => Argument::Text(text.to_owned()),
-            SettingFormat::Choice(all) | SettingFormat::OneOf(all) => return Err(format!("\"{text}\" is not one of: {}", all.join(", "))),
+            SettingFormat::Choice(all) | SettingFormat::OneOf(all) if all.contains(&text) => {
+                Argument::Text(text.to_owned())
+            }
+            SettingFormat::Choice(all) | SettingFormat::OneOf(all) => {
+                return Err(format!("\"{text}\" is not one of: {}", all.join(", ")));
+            }
             SettingFormat::Number => match numbers.as_deref() {
                 Some([v]) => Argument::Number(*v),
                 _ => return Err(format!("\"{text}\" is not a number")),
@@ -73,18 +81,39 @@ impl Setting {
                     one_or_more(v)
                 }
                 _ if words.iter().any(|w| is_file(w)) => {
-                    return Err(format!("\"{text}\" looks like a file name; enter whole numbers, such as 3 or 1, 4"));
+                    return Err(format!(
+                        "\"{text}\" looks like a file name; enter whole numbers, such as 3 or 1, 4"
+                    ));
                 }
-                _ => return Err(format!("\"{text}\" is not a list of whole numbers; enter numbers such as 3 or 1, 4")),
+                _ => {
+                    return Err(format!(
+                        "\"{text}\" is not a list of whole numbers; enter numbers such as 3 or 1, 4"
+                    ));
+                }
             },
-            SettingFormat::RowsOrFile(_) if words.len() == 1 && is_file(words[0]) => Argument::Text(text.to_owned()),
+            SettingFormat::RowsOrFile(_) if words.len() == 1 && is_file(words[0]) => {
+                Argument::Text(text.to_owned())
+            }
             SettingFormat::Rows(each) | SettingFormat::RowsOrFile(each) => match numbers {
                 Some(v) if v.len() % each == 0 => Argument::Numbers(v),
-                Some(v) => return Err(format!("{} numbers do not fill complete rows of {each}; add or remove numbers", v.len())),
-                None => return Err(format!("\"{text}\" is not a list of numbers; enter rows of {each} numbers, separated by commas")),
+                Some(v) => {
+                    return Err(format!(
+                        "{} numbers do not fill complete rows of {each}; add or remove numbers",
+                        v.len()
+                    ));
+                }
+                None => {
+                    return Err(format!(
+                        "\"{text}\" is not a list of numbers; enter rows of {each} numbers, separated by commas"
+                    ));
+                }
             },
-            SettingFormat::Files if words.len() > 1 => Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect()),
-            SettingFormat::File | SettingFormat::Files | SettingFormat::Words => Argument::Text(text.to_owned()),
+            SettingFormat::Files if words.len() > 1 => {
+                Argument::Texts(words.iter().map(|w| (*w).to_owned()).collect())
+            }
+            SettingFormat::File | SettingFormat::Files | SettingFormat::Words => {
+                Argument::Text(text.to_owned())
+            }
         };
         Ok(Some(argument))
     }
@@ -92,7 +121,10 @@ impl Setting {
     /// The files named by a value.
     pub fn files<'a>(&self, argument: &'a Argument) -> Vec<&'a str> {
         match (self.form, argument) {
-            (SettingFormat::File | SettingFormat::Files | SettingFormat::RowsOrFile(_), Argument::Text(file)) => vec![file],
+            (
+                SettingFormat::File | SettingFormat::Files | SettingFormat::RowsOrFile(_),
+                Argument::Text(file),
+            ) => vec![file],
             (SettingFormat::Files, Argument::Texts(files)) => files.iter().map(String::as_str).collect(),
             _ => Vec::new(),
         }
@@ -112,18 +144,42 @@ mod tests {
 
     #[test]
     fn what_cannot_be_a_setting_is_refused() {
-        let of = |form| Setting { name: "x", form, about: "" };
+        let of = |form| Setting {
+            name: "x",
+            form,
+            about: "",
+        };
         let whole = of(SettingFormat::Whole);
         assert_eq!(whole.parse(" 3 "), Ok(Some(Argument::Number(3.0))));
         assert_eq!(whole.parse("1, 4"), Ok(Some(Argument::Numbers(vec![1.0, 4.0]))));
         assert_eq!(whole.parse("  "), Ok(None));
-        for (text, word) in [("labels.nii.gz", "file name"), ("1.5", "whole"), ("-1", "whole"), ("brain", "whole"), ("1, inf", "whole")] {
-            assert!(whole.parse(text).is_err_and(|e| e.contains(word)), "{text}: {:?}", whole.parse(text));
+        for (text, word) in [
+            ("labels.nii.gz", "file name"),
+            ("1.5", "whole"),
+            ("-1", "whole"),
+            ("brain", "whole"),
+            ("1, inf", "whole"),
+        ] {
+            assert!(
+                whole.parse(text).is_err_and(|e| e.contains(word)),
+                "{text}: {:?}",
+                whole.parse(text)
+            );
         }
-        assert!(of(SettingFormat::Flag).parse("yes").is_err() && of(SettingFormat::Number).parse("1, 2").is_err());
-        assert!(of(SettingFormat::Choice(&["or", "and"])).parse("xor").is_err_and(|e| e.contains("or, and")));
+        assert!(
+            of(SettingFormat::Flag).parse("yes").is_err() && of(SettingFormat::Number).parse("1, 2").is_err()
+        );
+        assert!(
+            of(SettingFormat::Choice(&["or", "and"]))
+                .parse("xor")
+                .is_err_and(|e| e.contains("or, and"))
+        );
         let rows = of(SettingFormat::RowsOrFile(6));
-        assert!(rows.parse("1,2,3").is_err() && rows.parse("p.csv").is_ok() && rows.parse("0,0,0,1,2,3; 4,5,6,7,8,9").is_ok());
+        assert!(
+            rows.parse("1,2,3").is_err()
+                && rows.parse("p.csv").is_ok()
+                && rows.parse("0,0,0,1,2,3; 4,5,6,7,8,9").is_ok()
+        );
         assert!(of(SettingFormat::Rows(6)).parse("p.csv").is_err());
         let files = of(SettingFormat::Files).parse("a.mat, b.nii").unwrap().unwrap();
         assert_eq!(of(SettingFormat::Files).files(&files), ["a.mat", "b.nii"]);
@@ -135,7 +191,12 @@ mod tests {
         for kind in crate::deform::kinds::list() {
             for setting in kind.settings() {
                 if let SettingFormat::Choice(all) = setting.form {
-                    assert!(all.iter().all(|w| setting.parse(w).is_ok()), "{}: {}", kind.name, setting.name);
+                    assert!(
+                        all.iter().all(|w| setting.parse(w).is_ok()),
+                        "{}: {}",
+                        kind.name,
+                        setting.name
+                    );
                 }
             }
         }

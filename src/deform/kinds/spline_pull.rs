@@ -6,13 +6,21 @@
 //! support, like elastic material squeezed ahead of the pull. The product vanishes on all six
 //! faces. Along z the inverse is one monotone equation.
 
-use super::{Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising};
+use super::{
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM,
+    Parameter, solve_rising,
+};
 use glam::Vec3;
 
 pub(super) const KIND: Kind = Kind {
     name: "spline-pull",
     about: "pulls tissue up along the box's z axis, compressing the tissue above",
-    parameters: &[Parameter::mm("amount", BoxLength::OfZ(0.14), [BoxLength::OfZ(-0.3), BoxLength::OfZ(0.16)], "displacement at the peak")],
+    parameters: &[Parameter::mm(
+        "amount",
+        BoxLength::OfZ(0.14),
+        [BoxLength::OfZ(-0.3), BoxLength::OfZ(0.16)],
+        "displacement at the peak",
+    )],
     size: DefaultSize::Share([0.6; 3]),
     cube_scale: 1.0,
     varies: [true; 3],
@@ -20,7 +28,12 @@ pub(super) const KIND: Kind = Kind {
     nonzero_faces: [false; 6],
     locked_to_view: false,
     shape: None,
-    build: FieldBuilder::Formula(|c| Box::new(SplinePull { amount: c.value("amount") * c.progress, half: c.half() })),
+    build: FieldBuilder::Formula(|c| {
+        Box::new(SplinePull {
+            amount: c.value("amount") * c.progress,
+            half: c.half(),
+        })
+    }),
 };
 
 /// A uniform quadratic B-spline scaled to the support (-1, 1) and a peak of 1.
@@ -54,16 +67,26 @@ impl SplinePull {
 
 impl Field for SplinePull {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.across(q), q.z)), cut_distance_mm: NO_CUT_DISTANCE_MM }
+        Backward {
+            source: Vec3::new(q.x, q.y, self.source_z(self.across(q), q.z)),
+            cut_distance_mm: NO_CUT_DISTANCE_MM,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         let across = self.across(q);
         let reach = across.abs() + 1.0;
-        Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(across, z))))
+        Some(Vec3::new(
+            q.x,
+            q.y,
+            solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(across, z)),
+        ))
     }
 
     fn formula(&self) -> Option<Formula> {
-        Some(Formula::new(FormulaKind::SplinePull, &[self.amount, self.half.x, self.half.y, self.half.z]))
+        Some(Formula::new(
+            FormulaKind::SplinePull,
+            &[self.amount, self.half.x, self.half.y, self.half.z],
+        ))
     }
 }

@@ -4,7 +4,10 @@
 //! Height and radius are preserved, hence the inverse is exactly the twist by the opposite angle
 //! (not the negated displacement that \[DS07\] prints), and volume is preserved: det J = 1.
 
-use super::{Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, window};
+use super::{
+    Backward, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter,
+    window,
+};
 use glam::{Vec2, Vec3, Vec3Swizzles};
 
 pub(super) const KIND: Kind = Kind {
@@ -12,7 +15,12 @@ pub(super) const KIND: Kind = Kind {
     about: "rotates the upper end of the box relative to the lower end",
     parameters: &[
         Parameter::degrees("angle", 60.0, [-720.0, 720.0], "rotation of the upper face"),
-        Parameter::number("falloff", 0.25, [0.02, 1.0], "fraction of the radius over which the rotation fades"),
+        Parameter::number(
+            "falloff",
+            0.25,
+            [0.02, 1.0],
+            "fraction of the radius over which the rotation fades",
+        ),
     ],
     size: DefaultSize::Share([1.5, 1.5, 1.1]),
     cube_scale: 1.0,
@@ -48,7 +56,10 @@ impl Twist {
 
 impl Field for Twist {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: self.turned(q, -1.0), cut_distance_mm: NO_CUT_DISTANCE_MM }
+        Backward {
+            source: self.turned(q, -1.0),
+            cut_distance_mm: NO_CUT_DISTANCE_MM,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -56,6 +67,9 @@ impl Field for Twist {
     }
 
     fn formula(&self) -> Option<Formula> {
-        Some(Formula::new(FormulaKind::Twist, &[self.angle, self.falloff, self.size_z, self.radius]))
+        Some(Formula::new(
+            FormulaKind::Twist,
+            &[self.angle, self.falloff, self.size_z, self.radius],
+        ))
     }
 }

@@ -5,8 +5,8 @@
 //! w(z'), whose inverse is a monotone equation in one unknown.
 
 use super::{
-    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM, Parameter, solve_rising,
-    window,
+    Backward, BoxLength, DefaultSize, Field, FieldBuilder, FieldContext, Formula, FormulaKind, Kind,
+    NO_CUT_DISTANCE_MM, Parameter, solve_rising, window,
 };
 use glam::{Vec3, Vec3Swizzles};
 
@@ -16,8 +16,18 @@ const FADE_Z: f32 = 0.5;
 const FADE_R: f32 = 0.3;
 
 const PARAMETERS: &[Parameter] = &[
-    Parameter::mm("amplitude", BoxLength::OfZ(0.05), [BoxLength::OfZ(-0.15), BoxLength::OfZ(0.15)], "maximum displacement"),
-    Parameter::mm("wavelength", BoxLength::OfRadius(0.5), [BoxLength::OfRadius(0.1), BoxLength::OfRadius(10.0)], "distance from crest to crest"),
+    Parameter::mm(
+        "amplitude",
+        BoxLength::OfZ(0.05),
+        [BoxLength::OfZ(-0.15), BoxLength::OfZ(0.15)],
+        "maximum displacement",
+    ),
+    Parameter::mm(
+        "wavelength",
+        BoxLength::OfRadius(0.5),
+        [BoxLength::OfRadius(0.1), BoxLength::OfRadius(10.0)],
+        "distance from crest to crest",
+    ),
     Parameter::degrees("phase", 0.0, [-360.0, 360.0], "phase on the axis"),
 ];
 
@@ -67,7 +77,10 @@ impl Wave {
             let r = q.xy().length();
             (r, window(r, self.half.x.min(self.half.y), FADE_R))
         } else {
-            (q.x, window(q.x, self.half.x, FADE_R) * window(q.y, self.half.y, FADE_R))
+            (
+                q.x,
+                window(q.x, self.half.x, FADE_R) * window(q.y, self.half.y, FADE_R),
+            )
         };
         self.amplitude * (self.wave_number * along + self.phase).sin() * fade
     }
@@ -79,7 +92,10 @@ impl Wave {
 
 impl Field for Wave {
     fn backward(&self, q: Vec3) -> Backward {
-        Backward { source: Vec3::new(q.x, q.y, self.source_z(self.rise(q), q.z)), cut_distance_mm: NO_CUT_DISTANCE_MM }
+        Backward {
+            source: Vec3::new(q.x, q.y, self.source_z(self.rise(q), q.z)),
+            cut_distance_mm: NO_CUT_DISTANCE_MM,
+        }
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
@@ -87,12 +103,19 @@ impl Field for Wave {
         // positive.
         let rise = self.rise(q);
         let reach = rise.abs() + 1.0;
-        Some(Vec3::new(q.x, q.y, solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(rise, z))))
+        Some(Vec3::new(
+            q.x,
+            q.y,
+            solve_rising(q.z, q.z - reach, q.z + reach, |z| self.source_z(rise, z)),
+        ))
     }
 
     fn formula(&self) -> Option<Formula> {
         let Vec3 { x, y, z } = self.half;
         let radial = f32::from(u8::from(self.radial));
-        Some(Formula::new(FormulaKind::Wave, &[self.amplitude, self.wave_number, self.phase, x, y, z, radial]))
+        Some(Formula::new(
+            FormulaKind::Wave,
+            &[self.amplitude, self.wave_number, self.phase, x, y, z, radial],
+        ))
     }
 }

@@ -9,17 +9,37 @@ impl DisplacementMap {
     /// At eight points, of which only those in `lanes` are needed, stored (D / scale, alpha) and
     /// its derivatives along the three map axes, as [`Self::derivatives`].
     #[inline(always)]
-    pub fn derivatives_lanes<S: Simd>(&self, simd: S, x: Vec3x8<S>, lanes: mask32x8<S>) -> (Vec4x8<S>, [Vec4x8<S>; 3]) {
+    pub fn derivatives_lanes<S: Simd>(
+        &self,
+        simd: S,
+        x: Vec3x8<S>,
+        lanes: mask32x8<S>,
+    ) -> (Vec4x8<S>, [Vec4x8<S>; 3]) {
         let zero = f32x8::splat(simd, 0.0);
         let (mut value, mut slopes) = ([zero; 4], [[zero; 4]; 3]);
         let mut near_face = lanes;
         if self.size[0] >= 4 && self.size[1] >= 4 && self.size[2] >= 4 {
             let top = self.top();
-            let p = Vec3x8 { x: x.x * top.x, y: x.y * top.y, z: x.z * top.z };
-            near_face = lanes & !(within(p.x, 1.0, top.x - 1.0) & within(p.y, 1.0, top.y - 1.0) & within(p.z, 1.0, top.z - 1.0));
-            let [inside, dx, dy, dz] = mix_with_differences(simd, self.texels(), self.size, &Cells::of(p, self.size, 1));
+            let p = Vec3x8 {
+                x: x.x * top.x,
+                y: x.y * top.y,
+                z: x.z * top.z,
+            };
+            near_face = lanes
+                & !(within(p.x, 1.0, top.x - 1.0)
+                    & within(p.y, 1.0, top.y - 1.0)
+                    & within(p.z, 1.0, top.z - 1.0));
+            let [inside, dx, dy, dz] =
+                mix_with_differences(simd, self.texels(), self.size, &Cells::of(p, self.size, 1));
             // Over two texels.
-            (value, slopes) = (inside, [scaled(dx, 0.5 * top.x), scaled(dy, 0.5 * top.y), scaled(dz, 0.5 * top.z)]);
+            (value, slopes) = (
+                inside,
+                [
+                    scaled(dx, 0.5 * top.x),
+                    scaled(dy, 0.5 * top.y),
+                    scaled(dz, 0.5 * top.z),
+                ],
+            );
         }
         if near_face.any_true() {
             // A texel is missing on one side.
@@ -115,13 +135,21 @@ impl DisplacementMap {
         );
         // Over two texels.
         let [dx, dy, dz] = [dx * (0.5 * top.x), dy * (0.5 * top.y), dz * (0.5 * top.z)];
-        Some((Mat3::from_cols(dx.xyz(), dy.xyz(), dz.xyz()) * self.scale, Vec3::new(dx.w, dy.w, dz.w)))
+        Some((
+            Mat3::from_cols(dx.xyz(), dy.xyz(), dz.xyz()) * self.scale,
+            Vec3::new(dx.w, dy.w, dz.w),
+        ))
     }
 }
 
 #[inline(always)]
 fn selected<S: Simd>(mask: mask32x8<S>, [a, b, c, d]: Vec4x8<S>, [e, f, g, h]: Vec4x8<S>) -> Vec4x8<S> {
-    [mask.select(a, e), mask.select(b, f), mask.select(c, g), mask.select(d, h)]
+    [
+        mask.select(a, e),
+        mask.select(b, f),
+        mask.select(c, g),
+        mask.select(d, h),
+    ]
 }
 
 #[inline(always)]

@@ -36,7 +36,9 @@ impl PlacedMap {
     #[inline(always)]
     fn holds_lanes<S: Simd>(&self, x: Vec3x8<S>) -> mask32x8<S> {
         let reach = self.reach;
-        within(x.x, -reach.x, 1.0 + reach.x) & within(x.y, -reach.y, 1.0 + reach.y) & within(x.z, -reach.z, 1.0 + reach.z)
+        within(x.x, -reach.x, 1.0 + reach.x)
+            & within(x.y, -reach.y, 1.0 + reach.y)
+            & within(x.z, -reach.z, 1.0 + reach.z)
     }
 }
 
@@ -52,21 +54,38 @@ impl Stack {
             return None;
         }
         let x = map.placement.map_from_world.transform_point3(first);
-        Some(TexelLine { texels: map.map.line(x.y, x.z)? })
+        Some(TexelLine {
+            texels: map.map.line(x.y, x.z)?,
+        })
     }
 
     /// [`Self::source_and_alpha`] for eight points, of which only those in `lanes` are needed. Only
     /// points inside a map's cube cost a fetch.
     #[inline(always)]
-    pub fn source_and_alpha_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> SourceLanes<S> {
+    pub fn source_and_alpha_lanes<S: Simd>(
+        &self,
+        simd: S,
+        deformed: Vec3x8<S>,
+        lanes: mask32x8<S>,
+    ) -> SourceLanes<S> {
         self.source_and_alpha_on_line(simd, deformed, lanes, None)
     }
 
     /// As [`Self::source_and_alpha_lanes`] for points on a line, if one is given.
     #[inline(always)]
-    pub fn source_and_alpha_on_line<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>, line: Option<&TexelLine>) -> SourceLanes<S> {
+    pub fn source_and_alpha_on_line<S: Simd>(
+        &self,
+        simd: S,
+        deformed: Vec3x8<S>,
+        lanes: mask32x8<S>,
+        line: Option<&TexelLine>,
+    ) -> SourceLanes<S> {
         let nothing = mask32x8::splat(simd, false);
-        let mut walk = SourceLanes { source: deformed, alpha: f32x8::splat(simd, 1.0), inside: nothing };
+        let mut walk = SourceLanes {
+            source: deformed,
+            alpha: f32x8::splat(simd, 1.0),
+            inside: nothing,
+        };
         let mut at = deformed;
         let mut live = lanes;
         let mut line = line;
@@ -83,7 +102,11 @@ impl Stack {
             let direct = inside & alpha.simd_lt(MIN_MARKED_ALPHA);
             walk.alpha = direct.select(alpha, walk.alpha);
             walk.inside = direct;
-            walk.source = Vec3x8::select(direct, walk.source + stored.mapped(&map.world_from_stored), walk.source);
+            walk.source = Vec3x8::select(
+                direct,
+                walk.source + stored.mapped(&map.world_from_stored),
+                walk.source,
+            );
             live = inside & !direct;
             if !live.any_true() {
                 return walk;
@@ -117,30 +140,61 @@ impl Stack {
     /// [`Self::source_and_alpha`] for many points: source points and smallest masks.
     pub fn sources_and_alphas(&self, deformed: &[Vec3]) -> Vec<(Vec3, f32)> {
         let mut found = Vec::with_capacity(deformed.len());
-        with_simd(SourcesKernel { stack: self, deformed, found: &mut found });
+        with_simd(SourcesKernel {
+            stack: self,
+            deformed,
+            found: &mut found,
+        });
         found
     }
 
     /// [`Self::jet`] at eight points, of which only those in `lanes` are needed.
     #[inline(always)]
     pub fn jets_lanes<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> JetLanes<S> {
-        let Some(PrecomposedMap { map, .. }) = &self.precomposed else { return self.jets_by_maps(simd, deformed, lanes) };
+        let Some(PrecomposedMap { map, .. }) = &self.precomposed else {
+            return self.jets_by_maps(simd, deformed, lanes);
+        };
         let x = deformed.transformed(&map.placement.map_from_world);
         let inside = lanes & map.holds_lanes(x);
-        let unmoved = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
-        let mut jets = JetLanes { columns: unmoved, cut_distance_mm: f32x8::splat(simd, f32::INFINITY) };
+        let unmoved = [
+            Vec3x8::splat(simd, Vec3::X),
+            Vec3x8::splat(simd, Vec3::Y),
+            Vec3x8::splat(simd, Vec3::Z),
+        ];
+        let mut jets = JetLanes {
+            columns: unmoved,
+            cut_distance_mm: f32x8::splat(simd, f32::INFINITY),
+        };
         if !inside.any_true() {
             return jets;
         }
         let ([.., alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
-        let marked_slope = dx[3].abs().max(dy[3].abs()).max(dz[3].abs()).simd_ge(MIN_MARKED_SLOPE);
+        let marked_slope = dx[3]
+            .abs()
+            .max(dy[3].abs())
+            .max(dz[3].abs())
+            .simd_ge(MIN_MARKED_SLOPE);
         let direct = inside & alpha.simd_lt(MIN_MARKED_ALPHA) & !marked_slope;
-        let d = [of_displacement(dx, map), of_displacement(dy, map), of_displacement(dz, map)];
-        let slope = Vec3x8 { x: dx[3], y: dy[3], z: dz[3] };
+        let d = [
+            of_displacement(dx, map),
+            of_displacement(dy, map),
+            of_displacement(dz, map),
+        ];
+        let slope = Vec3x8 {
+            x: dx[3],
+            y: dy[3],
+            z: dz[3],
+        };
         let map_from_world = Mat3::from(map.placement.map_from_world.matrix3);
         let across = unmoved.map(|axis| axis.mapped(&map_from_world));
-        let gradient = Vec3x8 { x: slope.dot(across[0]), y: slope.dot(across[1]), z: slope.dot(across[2]) }.length();
-        jets.cut_distance_mm = (direct & gradient.simd_ge(1e-12)).select((alpha - 0.5) / gradient, jets.cut_distance_mm);
+        let gradient = Vec3x8 {
+            x: slope.dot(across[0]),
+            y: slope.dot(across[1]),
+            z: slope.dot(across[2]),
+        }
+        .length();
+        jets.cut_distance_mm =
+            (direct & gradient.simd_ge(1e-12)).select((alpha - 0.5) / gradient, jets.cut_distance_mm);
         for (column, across) in jets.columns.iter_mut().zip(across) {
             *column = Vec3x8::select(direct, *column + along(d, across), *column);
         }
@@ -157,7 +211,11 @@ impl Stack {
 
     #[inline(always)]
     fn jets_by_maps<S: Simd>(&self, simd: S, deformed: Vec3x8<S>, lanes: mask32x8<S>) -> JetLanes<S> {
-        let [x, y, z] = [Vec3x8::splat(simd, Vec3::X), Vec3x8::splat(simd, Vec3::Y), Vec3x8::splat(simd, Vec3::Z)];
+        let [x, y, z] = [
+            Vec3x8::splat(simd, Vec3::X),
+            Vec3x8::splat(simd, Vec3::Y),
+            Vec3x8::splat(simd, Vec3::Z),
+        ];
         let (mut jx, mut jy, mut jz) = (x, y, z);
         let (mut source, mut at) = (deformed, deformed);
         let (mut at_x, mut at_y, mut at_z) = (x, y, z);
@@ -168,12 +226,30 @@ impl Stack {
             if inside.any_true() {
                 let ([sx, sy, sz, alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
                 let stored = Vec3x8 { x: sx, y: sy, z: sz }.mapped(&map.world_from_stored);
-                let d = [of_displacement(dx, map), of_displacement(dy, map), of_displacement(dz, map)];
-                let slope = Vec3x8 { x: dx[3], y: dy[3], z: dz[3] };
+                let d = [
+                    of_displacement(dx, map),
+                    of_displacement(dy, map),
+                    of_displacement(dz, map),
+                ];
+                let slope = Vec3x8 {
+                    x: dx[3],
+                    y: dy[3],
+                    z: dz[3],
+                };
                 let map_from_world = Mat3::from(map.placement.map_from_world.matrix3);
-                let (mx, my, mz) = (at_x.mapped(&map_from_world), at_y.mapped(&map_from_world), at_z.mapped(&map_from_world));
-                let gradient = Vec3x8 { x: slope.dot(mx), y: slope.dot(my), z: slope.dot(mz) }.length();
-                let nearer = inside & gradient.simd_ge(1e-12) & (alpha - 0.5).simd_lt(cut_distance_mm * gradient);
+                let (mx, my, mz) = (
+                    at_x.mapped(&map_from_world),
+                    at_y.mapped(&map_from_world),
+                    at_z.mapped(&map_from_world),
+                );
+                let gradient = Vec3x8 {
+                    x: slope.dot(mx),
+                    y: slope.dot(my),
+                    z: slope.dot(mz),
+                }
+                .length();
+                let nearer =
+                    inside & gradient.simd_ge(1e-12) & (alpha - 0.5).simd_lt(cut_distance_mm * gradient);
                 cut_distance_mm = nearer.select((alpha - 0.5) / gradient, cut_distance_mm);
                 jx = Vec3x8::select(inside, jx + along(d, mx), jx);
                 jy = Vec3x8::select(inside, jy + along(d, my), jy);
@@ -184,7 +260,10 @@ impl Stack {
                 (at, at_x, at_y, at_z) = (source, jx, jy, jz);
             }
         }
-        JetLanes { columns: [jx, jy, jz], cut_distance_mm }
+        JetLanes {
+            columns: [jx, jy, jz],
+            cut_distance_mm,
+        }
     }
 }
 
@@ -219,7 +298,9 @@ impl SimdKernel for SourcesKernel<'_> {
         for eight in self.deformed.chunks(LANES) {
             let mut points = [Vec3::ZERO; LANES];
             points[..eight.len()].copy_from_slice(eight);
-            let walk = self.stack.source_and_alpha_lanes(simd, Vec3x8::from_lanes(simd, &points), everyone);
+            let walk = self
+                .stack
+                .source_and_alpha_lanes(simd, Vec3x8::from_lanes(simd, &points), everyone);
             for n in 0..eight.len() {
                 self.found.push((walk.source.lane(n), walk.alpha[n]));
             }

@@ -18,14 +18,27 @@ pub struct BSplineGrid {
 /// one.
 pub(crate) fn cubic_weights(t: f64) -> [f64; 4] {
     let u = 1.0 - t;
-    [u * u * u / 6.0, (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0, (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0, t * t * t / 6.0]
+    [
+        u * u * u / 6.0,
+        (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0,
+        (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0,
+        t * t * t / 6.0,
+    ]
 }
 
 impl BSplineGrid {
     /// Coefficients on a grid; one per point.
     pub fn new(grid: GridGeometry, coefficients: Vec<Vec3>) -> Self {
-        assert_eq!(coefficients.len(), grid.size.iter().product::<usize>(), "coefficient count and size disagree");
-        Self { grid, coefficients, voxel_from_world: grid.world_from_voxel.inverse() }
+        assert_eq!(
+            coefficients.len(),
+            grid.size.iter().product::<usize>(),
+            "coefficient count and size disagree"
+        );
+        Self {
+            grid,
+            coefficients,
+            voxel_from_world: grid.world_from_voxel.inverse(),
+        }
     }
 
     /// The source of a deformed point.
@@ -61,7 +74,9 @@ impl BSplineGrid {
         let scale = DVec3::from_array(refine.map(f64::recip));
         GridGeometry {
             size: std::array::from_fn(|a| spans[a] * refine[a] as usize + 1),
-            world_from_voxel: self.grid.world_from_voxel * DAffine3::from_translation(DVec3::ONE) * DAffine3::from_scale(scale),
+            world_from_voxel: self.grid.world_from_voxel
+                * DAffine3::from_translation(DVec3::ONE)
+                * DAffine3::from_scale(scale),
         }
     }
 }

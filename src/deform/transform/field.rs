@@ -34,8 +34,15 @@ impl VectorField {
     }
 
     fn of_array(world_from_voxel: DAffine3, vectors: Array3<Vec3>) -> Self {
-        let grid = GridGeometry { size: size(&vectors), world_from_voxel };
-        Self { grid, vectors, voxel_from_world: grid.world_from_voxel.inverse() }
+        let grid = GridGeometry {
+            size: size(&vectors),
+            world_from_voxel,
+        };
+        Self {
+            grid,
+            vectors,
+            voxel_from_world: grid.world_from_voxel.inverse(),
+        }
     }
 
     /// Samples a transform, given as source from deformed point, on a grid.
@@ -43,7 +50,9 @@ impl VectorField {
         let [ni, nj, nk] = grid.size;
         let mut vectors = Array3::default((nk, nj, ni));
         Zip::indexed(&mut vectors).par_for_each(|(k, j, i), to| {
-            let p = grid.world_from_voxel.transform_point3(DVec3::new(i as f64, j as f64, k as f64));
+            let p = grid
+                .world_from_voxel
+                .transform_point3(DVec3::new(i as f64, j as f64, k as f64));
             *to = (source_from_deformed(p) - p).as_vec3();
         });
         Self::of_array(grid.world_from_voxel, vectors)
@@ -57,9 +66,15 @@ impl VectorField {
     pub fn of_image(path: &Path, image: &Image, context: &TransformContext) -> Result<Self> {
         let fail = |problem: String| Error::file(path, problem);
         if image.components != 3 {
-            return Err(fail(format!("holds {} values per voxel; a displacement field has 3", image.components)));
+            return Err(fail(format!(
+                "holds {} values per voxel; a displacement field has 3",
+                image.components
+            )));
         }
-        let grid = GridGeometry { size: image.size, world_from_voxel: image.world_from_voxel };
+        let grid = GridGeometry {
+            size: image.size,
+            world_from_voxel: image.world_from_voxel,
+        };
         let [x, y, z] = [image.component(0), image.component(1), image.component(2)];
         let convention = match (context.convention, image.frame, image.intent) {
             (Some(c), _, _) => c,
@@ -77,10 +92,16 @@ impl VectorField {
             }
         };
         let mut stated = Array3::default(x.raw_dim());
-        Zip::from(&mut stated).and(&x).and(&y).and(&z).par_for_each(|to, x, y, z| *to = Vec3::new(*x, *y, *z));
+        Zip::from(&mut stated)
+            .and(&x)
+            .and(&y)
+            .and(&z)
+            .par_for_each(|to, x, y, z| *to = Vec3::new(*x, *y, *z));
         let bad = flat(&stated).par_iter().filter(|v| !v.is_finite()).count();
         if bad > 0 {
-            return Err(fail(format!("holds {bad} vectors that are NaN or infinite; mask or replace them")));
+            return Err(fail(format!(
+                "holds {bad} vectors that are NaN or infinite; mask or replace them"
+            )));
         }
         let turned = |m: DMat3| Zip::from(&stated).par_map_collect(|v| (m * v.as_dvec3()).as_vec3());
         let vectors = match convention {
@@ -98,12 +119,23 @@ impl VectorField {
                     let fsl_from_voxel = fsl_from_voxel(&grid);
                     Zip::indexed(&stated).par_map_collect(|(k, j, i), v| {
                         let voxel = DVec3::new(i as f64, j as f64, k as f64);
-                        let from = if convention == "fsl" { fsl_from_voxel.transform_point3(voxel) } else { DVec3::ZERO };
-                        (moving.transform_point3(from + v.as_dvec3()) - grid.world_from_voxel.transform_point3(voxel)).as_vec3()
+                        let from = if convention == "fsl" {
+                            fsl_from_voxel.transform_point3(voxel)
+                        } else {
+                            DVec3::ZERO
+                        };
+                        (moving.transform_point3(from + v.as_dvec3())
+                            - grid.world_from_voxel.transform_point3(voxel))
+                        .as_vec3()
                     })
                 }
             }
-            other => return Err(Error::value("convention", format!("\"{other}\" is not known; lps, ras, fsl or fsl-absolute"))),
+            other => {
+                return Err(Error::value(
+                    "convention",
+                    format!("\"{other}\" is not known; lps, ras, fsl or fsl-absolute"),
+                ));
+            }
         };
         Ok(Self::of_array(grid.world_from_voxel, vectors))
     }

@@ -69,7 +69,10 @@ fn fsl_from_voxel(grid: &GridGeometry) -> DAffine3 {
     // LPS and RAS differ by a rotation: the handedness is the same.
     if m.determinant() > 0.0 {
         let top = (grid.size[0] - 1) as f64 * spacing.x;
-        DAffine3 { matrix3: DMat3::from_diagonal(DVec3::new(-spacing.x, spacing.y, spacing.z)), translation: DVec3::new(top, 0.0, 0.0) }
+        DAffine3 {
+            matrix3: DMat3::from_diagonal(DVec3::new(-spacing.x, spacing.y, spacing.z)),
+            translation: DVec3::new(top, 0.0, 0.0),
+        }
     } else {
         DAffine3::from_scale(spacing)
     }
@@ -83,7 +86,10 @@ fn world_from_fsl(grid: &GridGeometry) -> DAffine3 {
 impl Transform {
     /// An affine transform.
     pub fn affine(source_from_deformed: DAffine3) -> Self {
-        Self { steps: vec![TransformStep::Affine(source_from_deformed)], warnings: Vec::new() }
+        Self {
+            steps: vec![TransformStep::Affine(source_from_deformed)],
+            warnings: Vec::new(),
+        }
     }
 
     /// Reads a transform in any of the formats above.
@@ -92,18 +98,29 @@ impl Transform {
     /// A file that cannot be read, has another format, or lacks required information; the message
     /// states the remedy.
     pub fn load(path: &Path, context: &TransformContext) -> Result<Self> {
-        let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let name = path
+            .file_name()
+            .map(|n| n.to_string_lossy().to_ascii_lowercase())
+            .unwrap_or_default();
         let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
         if ends(&[".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"]) {
             let image = load::image(path, &ReadOptions::default(), &Watch::NONE)?;
             let warnings = image.warnings.clone();
-            return Ok(Self { steps: vec![TransformStep::Field(VectorField::of_image(path, &image, context)?)], warnings });
+            return Ok(Self {
+                steps: vec![TransformStep::Field(VectorField::of_image(
+                    path, &image, context,
+                )?)],
+                warnings,
+            });
         }
         if ends(&[".h5", ".hdf5"]) {
             #[cfg(feature = "hdf5")]
             return itk::read_hdf5(path);
             #[cfg(not(feature = "hdf5"))]
-            return Err(Error::file(path, "is an HDF5 transform; build with the feature `hdf5` to read it, or save it as .tfm"));
+            return Err(Error::file(
+                path,
+                "is an HDF5 transform; build with the feature `hdf5` to read it, or save it as .tfm",
+            ));
         }
         let bytes = input::bytes(path, 1 << 30, "transform of a known format")?;
         if let Some(transform) = itk::read_matlab(path, &bytes)? {
@@ -140,7 +157,10 @@ impl Transform {
             TransformStep::Affine(m) => Some(TransformStep::Affine(m.inverse())),
             _ => None,
         });
-        Some(Self { steps: steps.collect::<Option<_>>()?, warnings: self.warnings.clone() })
+        Some(Self {
+            steps: steps.collect::<Option<_>>()?,
+            warnings: self.warnings.clone(),
+        })
     }
 
     /// The finest grid among the steps, if any has one.

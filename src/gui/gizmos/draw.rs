@@ -25,10 +25,19 @@ impl Gizmo<'_> {
             if matches!(handle, Handle::Ring(_)) {
                 continue;
             }
-            let Some(s) = self.projector.screen(at) else { continue };
+            let Some(s) = self.projector.screen(at) else {
+                continue;
+            };
             draw_marker(painter, handle, s, is_hot);
             if is_hot {
-                text(painter, pos2(s.x + 12.0, s.y - 10.0), Align2::LEFT_BOTTOM, self.words(handle), 13.5, Color32::WHITE);
+                text(
+                    painter,
+                    pos2(s.x + 12.0, s.y - 10.0),
+                    Align2::LEFT_BOTTOM,
+                    self.words(handle),
+                    13.5,
+                    Color32::WHITE,
+                );
             }
         }
     }
@@ -46,7 +55,10 @@ impl Gizmo<'_> {
             Handle::Ring(axis) => {
                 let points = self.ring(axis);
                 painter.add(Shape::line(points.clone(), rim));
-                painter.add(Shape::line(points, Stroke::new(if is_hot { 3.0 } else { 2.0 }, highlighted(AXES[axis], is_hot))));
+                painter.add(Shape::line(
+                    points,
+                    Stroke::new(if is_hot { 3.0 } else { 2.0 }, highlighted(AXES[axis], is_hot)),
+                ));
             }
             Handle::Axis(axis) => line(place.center, at, highlighted(AXES[axis], is_hot), 2.5),
             Handle::Parameter(n) => {
@@ -87,11 +99,31 @@ impl Gizmo<'_> {
         }
     }
 
-    fn draw_path(&self, painter: &Painter, path: &HandlePath, [from, to]: [f32; 2], range: [f32; 2], place: &BoxPlacement) {
-        let points: Vec<Pos2> =
-            (0..=24).filter_map(|n| self.projector.screen(place.world(path.at(from + (to - from) * n as f32 / 24.0, range, place.size)))).collect();
-        painter.add(Shape::line(points.clone(), Stroke::new(3.0, Color32::from_black_alpha(120))));
-        painter.add(Shape::line(points, Stroke::new(1.2, ON_CANVAS.gamma_multiply(0.8))));
+    fn draw_path(
+        &self,
+        painter: &Painter,
+        path: &HandlePath,
+        [from, to]: [f32; 2],
+        range: [f32; 2],
+        place: &BoxPlacement,
+    ) {
+        let points: Vec<Pos2> = (0..=24)
+            .filter_map(|n| {
+                self.projector.screen(place.world(path.at(
+                    from + (to - from) * n as f32 / 24.0,
+                    range,
+                    place.size,
+                )))
+            })
+            .collect();
+        painter.add(Shape::line(
+            points.clone(),
+            Stroke::new(3.0, Color32::from_black_alpha(120)),
+        ));
+        painter.add(Shape::line(
+            points,
+            Stroke::new(1.2, ON_CANVAS.gamma_multiply(0.8)),
+        ));
     }
 }
 
@@ -110,12 +142,27 @@ fn draw_marker(painter: &Painter, handle: Handle, s: Pos2, is_hot: bool) {
         }
         Handle::Face(axis, _) | Handle::Axis(axis) => {
             let square = Rect::from_center_size(s, vec2(2.0, 2.0) * (radius - 0.5));
-            painter.rect(square, 1.0, highlighted(AXES[axis], is_hot), dark, StrokeKind::Outside);
+            painter.rect(
+                square,
+                1.0,
+                highlighted(AXES[axis], is_hot),
+                dark,
+                StrokeKind::Outside,
+            );
         }
         Handle::Progress => {
             let r = radius + 1.5;
-            let diamond = vec![s + vec2(0.0, -r), s + vec2(r, 0.0), s + vec2(0.0, r), s + vec2(-r, 0.0)];
-            painter.add(Shape::convex_polygon(diamond, highlighted(Color32::from_rgb(255, 190, 90), is_hot), dark));
+            let diamond = vec![
+                s + vec2(0.0, -r),
+                s + vec2(r, 0.0),
+                s + vec2(0.0, r),
+                s + vec2(-r, 0.0),
+            ];
+            painter.add(Shape::convex_polygon(
+                diamond,
+                highlighted(Color32::from_rgb(255, 190, 90), is_hot),
+                dark,
+            ));
         }
         _ => {
             painter.circle(s, radius, highlighted(ON_CANVAS, is_hot), dark);

@@ -122,14 +122,27 @@ impl Gizmo<'_> {
         match self.mode {
             Mode::Shape => {
                 let progress = self.deformation.progress.unwrap_or(1.0);
-                all.push((Handle::Progress, place.world(progress_path(self.kind.name).at(progress, [0.0, 1.0], place.size))));
+                all.push((
+                    Handle::Progress,
+                    place.world(progress_path(self.kind.name).at(progress, [0.0, 1.0], place.size)),
+                ));
                 for n in 0..self.kind.parameters.len() {
                     let (value, range, _) = parameter(self.deformation, self.kind, n, place.size);
-                    all.push((Handle::Parameter(n), place.world(path_of(self.kind, n).at(value, range, place.size))));
+                    all.push((
+                        Handle::Parameter(n),
+                        place.world(path_of(self.kind, n).at(value, range, place.size)),
+                    ));
                 }
-                all.extend(control_points(self.deformation, &place).into_iter().enumerate().map(|(n, p)| (Handle::Point(n), p)));
+                all.extend(
+                    control_points(self.deformation, &place)
+                        .into_iter()
+                        .enumerate()
+                        .map(|(n, p)| (Handle::Point(n), p)),
+                );
             }
-            Mode::Move => all.extend((0..3).map(|a| (Handle::Axis(a), place.center + place.turn.col(a) * self.arm()))),
+            Mode::Move => {
+                all.extend((0..3).map(|a| (Handle::Axis(a), place.center + place.turn.col(a) * self.arm())))
+            }
             Mode::Rotate => all.extend((0..3).map(|a| (Handle::Ring(a), place.center))),
             Mode::Scale if self.has_size() => {
                 for axis in 0..3 {
@@ -162,10 +175,24 @@ impl Gizmo<'_> {
         let mut best: Option<(f32, Handle)> = None;
         for (handle, at) in self.handles() {
             let distance = match handle {
-                Handle::Ring(axis) => self.ring(axis).iter().map(|p| p.distance(pointer)).fold(f32::INFINITY, f32::min) + 2.0,
+                Handle::Ring(axis) => {
+                    self.ring(axis)
+                        .iter()
+                        .map(|p| p.distance(pointer))
+                        .fold(f32::INFINITY, f32::min)
+                        + 2.0
+                }
                 // The centre gives way to handles on top of it.
-                Handle::Center => self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance(pointer)) + 2.0,
-                _ => self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance(pointer)),
+                Handle::Center => {
+                    self.projector
+                        .screen(at)
+                        .map_or(f32::INFINITY, |p| p.distance(pointer))
+                        + 2.0
+                }
+                _ => self
+                    .projector
+                    .screen(at)
+                    .map_or(f32::INFINITY, |p| p.distance(pointer)),
             };
             if distance <= REACH && best.is_none_or(|(b, _)| distance < b) {
                 best = Some((distance, handle));
@@ -177,13 +204,23 @@ impl Gizmo<'_> {
     /// Begins a drag.
     pub fn grab(&self, handle: Handle, pointer: Pos2) -> Drag {
         let place = self.place();
-        let at = self.handles().into_iter().find(|(h, _)| *h == handle).map_or(place.center, |(_, p)| p);
+        let at = self
+            .handles()
+            .into_iter()
+            .find(|(h, _)| *h == handle)
+            .map_or(place.center, |(_, p)| p);
         let offset = self.projector.screen(at).map_or(vec2(0.0, 0.0), |p| pointer - p);
         let angle = match handle {
             Handle::Ring(axis) => self.angle(axis, pointer, &place).unwrap_or(0.0),
             _ => 0.0,
         };
-        Drag { handle, start: self.deformation.clone(), place, offset, angle }
+        Drag {
+            handle,
+            start: self.deformation.clone(),
+            place,
+            offset,
+            angle,
+        }
     }
 
     /// The angle of the pointer about an axis of the box, radians.
@@ -200,7 +237,13 @@ impl Gizmo<'_> {
         let place = drag.place;
         let pos = pointer - drag.offset;
         match drag.handle {
-            Handle::Center => d.center = Some(tidy(self.projector.on_plane(pos, place.center, self.projector.frame.forward)?)),
+            Handle::Center => {
+                d.center = Some(tidy(self.projector.on_plane(
+                    pos,
+                    place.center,
+                    self.projector.frame.forward,
+                )?))
+            }
             Handle::Axis(axis) => {
                 let direction = place.turn.col(axis);
                 let t = self.projector.along_line(pos, place.center, direction)? - self.arm();
@@ -230,7 +273,11 @@ impl Gizmo<'_> {
                 let (_, range, _) = parameter(&d, self.kind, n, place.size);
                 let value = self.on_path(&path_of(self.kind, n), range, pos, &place)?;
                 let rounded = (value * 10.0).round() / 10.0;
-                let value = if self.kind.parameters[n].unit == Unit::None { value } else { rounded.max(range[0]).min(range[1]) };
+                let value = if self.kind.parameters[n].unit == Unit::None {
+                    value
+                } else {
+                    rounded.max(range[0]).min(range[1])
+                };
                 d.parameters.insert(self.kind.parameters[n].name, value);
             }
             Handle::Point(n) => {
@@ -243,10 +290,18 @@ impl Gizmo<'_> {
     }
 
     /// The value at the path's point nearest to the pointer on the screen.
-    fn on_path(&self, path: &HandlePath, [min, max]: [f32; 2], pos: Pos2, place: &BoxPlacement) -> Option<f32> {
+    fn on_path(
+        &self,
+        path: &HandlePath,
+        [min, max]: [f32; 2],
+        pos: Pos2,
+        place: &BoxPlacement,
+    ) -> Option<f32> {
         let distance = |value: f32| {
             let at = place.world(path.at(value, [min, max], place.size));
-            self.projector.screen(at).map_or(f32::INFINITY, |p| p.distance_sq(pos))
+            self.projector
+                .screen(at)
+                .map_or(f32::INFINITY, |p| p.distance_sq(pos))
         };
         // A coarse search, then refinement around the best: a path may curve back on itself on the
         // screen.
@@ -269,8 +324,15 @@ impl Gizmo<'_> {
         match handle {
             Handle::Center | Handle::Axis(_) => format!("centre {}", three(place.center, "mm")),
             Handle::Ring(_) => format!("rotation {}", three(angles_of(place.turn), "°")),
-            Handle::Face(axis, _) => format!("{} {:.1} mm", ["width", "length", "height"][axis], place.size[axis]),
-            Handle::Progress => format!("progress {:.0} %", 100.0 * self.deformation.progress.unwrap_or(1.0)),
+            Handle::Face(axis, _) => format!(
+                "{} {:.1} mm",
+                ["width", "length", "height"][axis],
+                place.size[axis]
+            ),
+            Handle::Progress => format!(
+                "progress {:.0} %",
+                100.0 * self.deformation.progress.unwrap_or(1.0)
+            ),
             Handle::Parameter(n) => {
                 let p = &self.kind.parameters[n];
                 let (value, ..) = parameter(self.deformation, self.kind, n, place.size);
@@ -297,8 +359,14 @@ mod tests {
     use eframe::egui::{Rect, pos2};
 
     fn projector(scene_box: &Bounds, view: &str) -> Projector {
-        let camera = Camera { view: view.parse().unwrap(), ..Camera::default() };
-        Projector { frame: camera.frame(scene_box, [600, 500]).unwrap(), rect: Rect::from_min_size(pos2(0.0, 0.0), vec2(600.0, 500.0)) }
+        let camera = Camera {
+            view: view.parse().unwrap(),
+            ..Camera::default()
+        };
+        Projector {
+            frame: camera.frame(scene_box, [600, 500]).unwrap(),
+            rect: Rect::from_min_size(pos2(0.0, 0.0), vec2(600.0, 500.0)),
+        }
     }
 
     /// Grabbing any handle of any kind without moving it changes nothing beyond rounding; after a
@@ -308,17 +376,34 @@ mod tests {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
         let mut tried = 0;
         for kind in kinds::list() {
-            let mut d =
-                super::super::state::tool::dropped(kind, &scene_box, Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))), Vec3::X);
+            let mut d = super::super::state::tool::dropped(
+                kind,
+                &scene_box,
+                Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))),
+                Vec3::X,
+            );
             d.progress = Some(0.5);
             for mode in [Mode::Shape, Mode::Move, Mode::Rotate, Mode::Scale] {
-                let gizmo = Gizmo { projector: projector(&scene_box, "25,15"), kind, deformation: &d, scene_box, mode };
+                let gizmo = Gizmo {
+                    projector: projector(&scene_box, "25,15"),
+                    kind,
+                    deformation: &d,
+                    scene_box,
+                    mode,
+                };
                 for (handle, at) in gizmo.handles() {
-                    let Some(s) = gizmo.projector.screen(at) else { continue };
+                    let Some(s) = gizmo.projector.screen(at) else {
+                        continue;
+                    };
                     let drag = gizmo.grab(handle, s);
                     let to = s + vec2(9.0, -6.0);
-                    let Some(moved) = gizmo.dragged(&drag, to) else { continue };
-                    let after = Gizmo { deformation: &moved, ..gizmo };
+                    let Some(moved) = gizmo.dragged(&drag, to) else {
+                        continue;
+                    };
+                    let after = Gizmo {
+                        deformation: &moved,
+                        ..gizmo
+                    };
                     match handle {
                         Handle::Center | Handle::Point(_) => {
                             let now = after.handles().into_iter().find(|(h, _)| *h == handle).unwrap().1;
@@ -326,12 +411,20 @@ mod tests {
                             assert!(off < 1.0, "{} {handle:?} is {off} points away", kind.name);
                         }
                         Handle::Parameter(n) => {
-                            let (value, [min, max], _) = parameter(&moved, kind, n, BoxPlacement::of(&moved, kind, &scene_box).size);
-                            assert!(value >= min - 1e-3 && value <= max + 1e-3, "{} {handle:?}: {value} outside {min} to {max}", kind.name);
+                            let (value, [min, max], _) =
+                                parameter(&moved, kind, n, BoxPlacement::of(&moved, kind, &scene_box).size);
+                            assert!(
+                                value >= min - 1e-3 && value <= max + 1e-3,
+                                "{} {handle:?}: {value} outside {min} to {max}",
+                                kind.name
+                            );
                         }
                         Handle::Progress => assert!((0.0..=1.0).contains(&moved.progress.unwrap())),
                         Handle::Face(axis, _) => {
-                            let (a, b) = (BoxPlacement::of(&d, kind, &scene_box), BoxPlacement::of(&moved, kind, &scene_box));
+                            let (a, b) = (
+                                BoxPlacement::of(&d, kind, &scene_box),
+                                BoxPlacement::of(&moved, kind, &scene_box),
+                            );
                             assert!(b.size[(axis + 1) % 3] == a.size[(axis + 1) % 3]);
                         }
                         Handle::Axis(_) | Handle::Ring(_) => {}
@@ -349,7 +442,13 @@ mod tests {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
         let kind = kinds::kind("box").unwrap();
         let d = Deformation::new("box");
-        let gizmo = Gizmo { projector: projector(&scene_box, "superior"), kind, deformation: &d, scene_box, mode: Mode::Rotate };
+        let gizmo = Gizmo {
+            projector: projector(&scene_box, "superior"),
+            kind,
+            deformation: &d,
+            scene_box,
+            mode: Mode::Rotate,
+        };
         let center = gizmo.projector.screen(Vec3::ZERO).unwrap();
         let drag = gizmo.grab(Handle::Ring(2), center + vec2(70.0, 0.0));
         let moved = gizmo.dragged(&drag, center + vec2(0.0, -70.0)).unwrap();

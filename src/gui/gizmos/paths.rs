@@ -41,13 +41,26 @@ impl HandlePath {
     /// The point of a value in the box's local millimetres.
     pub fn at(&self, value: f32, [min, max]: [f32; 2], size: Vec3) -> Vec3 {
         match *self {
-            Self::Line { from, direction, gain } => Vec3::from(from) * size + Vec3::from(direction) * (value * gain),
-            Self::Arc { center, axis, from, gain } => {
+            Self::Line {
+                from,
+                direction,
+                gain,
+            } => Vec3::from(from) * size + Vec3::from(direction) * (value * gain),
+            Self::Arc {
+                center,
+                axis,
+                from,
+                gain,
+            } => {
                 let turn = Quat::from_axis_angle(Vec3::from(axis), (value * gain).to_radians());
                 Vec3::from(center) * size + turn * Vec3::from(from) * (0.42 * size.min_element())
             }
             Self::Span { low, high } => {
-                let share = if max > min { ((value - min) / (max - min)).clamp(0.0, 1.0) } else { 0.0 };
+                let share = if max > min {
+                    ((value - min) / (max - min)).clamp(0.0, 1.0)
+                } else {
+                    0.0
+                };
                 Vec3::from(low).lerp(Vec3::from(high), share) * size
             }
         }
@@ -80,8 +93,17 @@ pub fn progress_path(kind: &str) -> HandlePath {
 /// The path of a kind's parameter.
 pub fn path_of(kind: &Kind, n: usize) -> HandlePath {
     let p = &kind.parameters[n];
-    let line = |from, direction, gain| HandlePath::Line { from, direction, gain };
-    let arc = |axis, from, gain| HandlePath::Arc { center: TOP, axis, from, gain };
+    let line = |from, direction, gain| HandlePath::Line {
+        from,
+        direction,
+        gain,
+    };
+    let arc = |axis, from, gain| HandlePath::Arc {
+        center: TOP,
+        axis,
+        from,
+        gain,
+    };
     match (kind.name, p.name) {
         ("peel" | "surface-peel" | "strip", "depth") => line([0.3, 0.2, -0.4], Z, 1.0),
         ("peel" | "surface-peel" | "strip", "radius") => line([-0.3, -0.3, -0.4], Z, 1.0),
@@ -95,10 +117,25 @@ pub fn path_of(kind: &Kind, n: usize) -> HandlePath {
         ("retractor", "length") => line(TOP, X, 0.5),
         ("retractor", "opening") => line(TOP, Y, 0.5),
         ("knife" | "retractor", "depth") => line(TOP, DOWN, 1.0),
-        ("wedge", "angle") => HandlePath::Arc { center: MIDDLE, axis: Z, from: X, gain: 0.5 },
+        ("wedge", "angle") => HandlePath::Arc {
+            center: MIDDLE,
+            axis: Z,
+            from: X,
+            gain: 0.5,
+        },
         ("twist", "angle") => arc(Z, X, 1.0),
-        ("bend" | "seam" | "book" | "shear", "angle") => HandlePath::Arc { center: MIDDLE, axis: Y, from: Z, gain: 1.0 },
-        ("shear", "angle-y") => HandlePath::Arc { center: MIDDLE, axis: [-1.0, 0.0, 0.0], from: Z, gain: 1.0 },
+        ("bend" | "seam" | "book" | "shear", "angle") => HandlePath::Arc {
+            center: MIDDLE,
+            axis: Y,
+            from: Z,
+            gain: 1.0,
+        },
+        ("shear", "angle-y") => HandlePath::Arc {
+            center: MIDDLE,
+            axis: [-1.0, 0.0, 0.0],
+            from: Z,
+            gain: 1.0,
+        },
         ("wave" | "planar-wave", "amplitude") => line(MIDDLE, Z, 1.0),
         ("wave" | "planar-wave", "wavelength") => line([-0.5, 0.0, 0.0], X, 1.0),
         _ => {
@@ -106,8 +143,16 @@ pub fn path_of(kind: &Kind, n: usize) -> HandlePath {
             let y = -0.5 + 0.2 * n as f32;
             match p.unit {
                 Unit::Mm => line([0.5, y, -0.5], Z, 1.0),
-                Unit::Degrees => HandlePath::Arc { center: [0.0, y, 0.0], axis: Z, from: X, gain: 1.0 },
-                Unit::None => HandlePath::Span { low: [-0.5, y, 0.5], high: [0.5, y, 0.5] },
+                Unit::Degrees => HandlePath::Arc {
+                    center: [0.0, y, 0.0],
+                    axis: Z,
+                    from: X,
+                    gain: 1.0,
+                },
+                Unit::None => HandlePath::Span {
+                    low: [-0.5, y, 0.5],
+                    high: [0.5, y, 0.5],
+                },
             }
         }
     }
@@ -126,7 +171,9 @@ mod tests {
             for (n, p) in kind.parameters.iter().enumerate() {
                 let [min, max] = [p.min, p.max].map(|a| a.resolve(size));
                 let path = path_of(kind, n);
-                let points: Vec<Vec3> = (0..=8).map(|i| path.at(min + (max - min) * i as f32 / 8.0, [min, max], size)).collect();
+                let points: Vec<Vec3> = (0..=8)
+                    .map(|i| path.at(min + (max - min) * i as f32 / 8.0, [min, max], size))
+                    .collect();
                 // A full circle may meet itself at its ends.
                 for w in points.windows(2) {
                     assert!(w[0].distance(w[1]) > 1e-3, "{} {}", kind.name, p.name);

@@ -22,8 +22,16 @@ impl BoxPlacement {
     pub fn of(d: &Deformation, kind: &Kind, scene_box: &Bounds) -> Self {
         // A size from a file may be invalid; the error is reported elsewhere.
         let size = d.size.map_or_else(|| kind.default_size(scene_box), Size::xyz);
-        let size = if size.is_finite() { size.abs().max(Vec3::splat(1e-3)) } else { Vec3::ONE };
-        Self { center: d.center.map_or_else(|| scene_box.center(), Vec3::from), size, turn: d.rotate.map_or(Mat3::IDENTITY, |r| matrix_of(r.into())) }
+        let size = if size.is_finite() {
+            size.abs().max(Vec3::splat(1e-3))
+        } else {
+            Vec3::ONE
+        };
+        Self {
+            center: d.center.map_or_else(|| scene_box.center(), Vec3::from),
+            size,
+            turn: d.rotate.map_or(Mat3::IDENTITY, |r| matrix_of(r.into())),
+        }
     }
 
     /// World point of a point in the box's local millimetres.
@@ -38,7 +46,10 @@ impl BoxPlacement {
 
     /// The bounds of the box in the world.
     pub fn bounds(&self) -> Bounds {
-        let half = (self.turn.x_axis.abs() * self.size.x + self.turn.y_axis.abs() * self.size.y + self.turn.z_axis.abs() * self.size.z) / 2.0;
+        let half = (self.turn.x_axis.abs() * self.size.x
+            + self.turn.y_axis.abs() * self.size.y
+            + self.turn.z_axis.abs() * self.size.z)
+            / 2.0;
         Bounds::new(self.center - half, self.center + half)
     }
 }

@@ -13,8 +13,14 @@ const MAX_POINTS: usize = 216;
 pub fn control_points(d: &Deformation, place: &BoxPlacement) -> Vec<Vec3> {
     let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
-        "points" => numbers("pairs").chunks_exact(6).map(|p| Vec3::new(p[3], p[4], p[5])).collect(),
-        "elastic" => numbers("grab").chunks_exact(7).map(|g| Vec3::new(g[0] + g[4], g[1] + g[5], g[2] + g[6])).collect(),
+        "points" => numbers("pairs")
+            .chunks_exact(6)
+            .map(|p| Vec3::new(p[3], p[4], p[5]))
+            .collect(),
+        "elastic" => numbers("grab")
+            .chunks_exact(7)
+            .map(|g| Vec3::new(g[0] + g[4], g[1] + g[5], g[2] + g[6]))
+            .collect(),
         "lattice" => {
             let counts = lattice_size(d);
             let moved = numbers("offsets");
@@ -25,8 +31,12 @@ pub fn control_points(d: &Deformation, place: &BoxPlacement) -> Vec<Vec3> {
             (0..count)
                 .map(|n| {
                     let index = lattice_index(counts, n);
-                    let at = Vec3::from(std::array::from_fn(|a| index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5));
-                    let row = moved.chunks_exact(6).find(|r| (0..3).all(|a| r[a] == index[a] as f32));
+                    let at = Vec3::from(std::array::from_fn(|a| {
+                        index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5
+                    }));
+                    let row = moved
+                        .chunks_exact(6)
+                        .find(|r| (0..3).all(|a| r[a] == index[a] as f32));
                     let offset = row.map_or(Vec3::ZERO, |r| Vec3::new(r[3], r[4], r[5]));
                     place.world(at * place.size + offset)
                 })
@@ -38,19 +48,32 @@ pub fn control_points(d: &Deformation, place: &BoxPlacement) -> Vec<Vec3> {
 
 fn lattice_size(d: &Deformation) -> [usize; 3] {
     let stated = d.parameters.whole("lattice").ok().flatten().unwrap_or_default();
-    <[usize; 3]>::try_from(stated).ok().filter(|c| c.iter().all(|n| (2..=8).contains(n))).unwrap_or([4; 3])
+    <[usize; 3]>::try_from(stated)
+        .ok()
+        .filter(|c| c.iter().all(|n| (2..=8).contains(n)))
+        .unwrap_or([4; 3])
 }
 
 fn lattice_index(counts: [usize; 3], n: usize) -> [usize; 3] {
-    [n % counts[0], n / counts[0] % counts[1], n / counts[0] / counts[1]]
+    [
+        n % counts[0],
+        n / counts[0] % counts[1],
+        n / counts[0] / counts[1],
+    ]
 }
 
 /// Position of a control point before any drag, mm.
 pub(super) fn origin_of(d: &Deformation, n: usize) -> Option<Vec3> {
     let numbers = |name: &str| d.parameters.numbers(name).ok().flatten().unwrap_or_default();
     match d.kind.as_str() {
-        "points" => numbers("pairs").chunks_exact(6).nth(n).map(|p| Vec3::new(p[0], p[1], p[2])),
-        "elastic" => numbers("grab").chunks_exact(7).nth(n).map(|g| Vec3::new(g[0], g[1], g[2])),
+        "points" => numbers("pairs")
+            .chunks_exact(6)
+            .nth(n)
+            .map(|p| Vec3::new(p[0], p[1], p[2])),
+        "elastic" => numbers("grab")
+            .chunks_exact(7)
+            .nth(n)
+            .map(|g| Vec3::new(g[0], g[1], g[2])),
         _ => None,
     }
 }
@@ -77,10 +100,15 @@ pub fn set_point(d: &mut Deformation, place: &BoxPlacement, n: usize, to: Vec3) 
         "lattice" => {
             let counts = lattice_size(d);
             let index = lattice_index(counts, n);
-            let at = Vec3::from(std::array::from_fn(|a| index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5));
+            let at = Vec3::from(std::array::from_fn(|a| {
+                index[a] as f32 / (counts[a] - 1).max(1) as f32 - 0.5
+            }));
             let offset = tidy(place.local(to) - at * place.size);
             let mut rows = numbers(d, "offsets");
-            match rows.chunks_exact_mut(6).find(|r| (0..3).all(|a| r[a] == index[a] as f32)) {
+            match rows
+                .chunks_exact_mut(6)
+                .find(|r| (0..3).all(|a| r[a] == index[a] as f32))
+            {
                 Some(row) => row[3..].copy_from_slice(&offset),
                 None => {
                     rows.extend(index.map(|i| i as f32));

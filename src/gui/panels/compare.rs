@@ -15,15 +15,25 @@ use std::time::Instant;
 
 /// The renderer and the step of one side.
 fn show_side_settings(ui: &mut Ui, n: usize, label: &str, side: &mut ComparisonSide) {
-    let combo = egui::ComboBox::from_id_salt(("side", n)).selected_text(format!("{label}: {}", word(side.mode))).width(104.0).show_ui(ui, |ui| {
-        for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
-            ui.selectable_value(&mut side.mode, mode, word(mode));
-        }
+    let combo = egui::ComboBox::from_id_salt(("side", n))
+        .selected_text(format!("{label}: {}", word(side.mode)))
+        .width(104.0)
+        .show_ui(ui, |ui| {
+            for mode in [Mode::Slice, Mode::Raycast, Mode::Surface] {
+                ui.selectable_value(&mut side.mode, mode, word(mode));
+            }
+        });
+    combo.response.widget_info(|| {
+        egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}"))
     });
-    combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, format!("Renderer {label}")));
     ui.spacing_mut().slider_width = 84.0;
     let slider = ui
-        .add(Slider::new(&mut side.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2))
+        .add(
+            Slider::new(&mut side.step, 0.1..=4.0)
+                .clamping(egui::SliderClamping::Edits)
+                .logarithmic(true)
+                .max_decimals(2),
+        )
         .on_hover_text("Step, voxels");
     slider.widget_info(|| egui::WidgetInfo::slider(true, f64::from(side.step), format!("Step {label}")));
 }
@@ -34,7 +44,8 @@ impl ComparePanel {
         self.was_drawn = true;
         let mut requests = Requests::default();
         self.show_settings(ui, &mut requests);
-        let (rect, response) = ui.allocate_exact_size(ui.available_size().max(vec2(32.0, 32.0)), Sense::click_and_drag());
+        let (rect, response) =
+            ui.allocate_exact_size(ui.available_size().max(vec2(32.0, 32.0)), Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Comparison view"));
         let painter = ui.painter_at(rect);
         painter.rect_filled(rect, 0.0, theme::CANVAS);
@@ -47,7 +58,14 @@ impl ComparePanel {
         }
         let failed = self.results.iter().any(|r| r.delay.failure.is_some());
         if !self.is_done() && !failed {
-            text(&painter, pos2(rect.center().x, rect.bottom() - 10.0), Align2::CENTER_BOTTOM, "Rendering…", 13.0, theme::ON_CANVAS);
+            text(
+                &painter,
+                pos2(rect.center().x, rect.bottom() - 10.0),
+                Align2::CENTER_BOTTOM,
+                "Rendering…",
+                13.0,
+                theme::ON_CANVAS,
+            );
         }
         self.handle_input(ui, &response, rect, &mut requests);
         if !self.is_done() && !failed {
@@ -58,22 +76,28 @@ impl ComparePanel {
 
     /// Both sides' settings, the arrangement and the metrics.
     fn show_settings(&mut self, ui: &mut Ui, requests: &mut Requests) {
-        egui::Frame::NONE.inner_margin(egui::Margin::symmetric(8, 4)).show(ui, |ui| {
-            ui.horizontal_wrapped(|ui| {
-                for (n, label) in ["A", "B"].into_iter().enumerate() {
-                    show_side_settings(ui, n, label, &mut self.sides[n]);
-                }
-                ui.separator();
-                for (a, w) in [(Arrangement::Split, "Split"), (Arrangement::Swipe, "Swipe"), (Arrangement::Difference, "Difference")] {
-                    ui.selectable_value(&mut self.arrangement, a, w);
-                }
-                ui.separator();
-                if ui.button("Export report…").clicked() {
-                    requests.perform(Action::ExportReport);
-                }
+        egui::Frame::NONE
+            .inner_margin(egui::Margin::symmetric(8, 4))
+            .show(ui, |ui| {
+                ui.horizontal_wrapped(|ui| {
+                    for (n, label) in ["A", "B"].into_iter().enumerate() {
+                        show_side_settings(ui, n, label, &mut self.sides[n]);
+                    }
+                    ui.separator();
+                    for (a, w) in [
+                        (Arrangement::Split, "Split"),
+                        (Arrangement::Swipe, "Swipe"),
+                        (Arrangement::Difference, "Difference"),
+                    ] {
+                        ui.selectable_value(&mut self.arrangement, a, w);
+                    }
+                    ui.separator();
+                    if ui.button("Export report…").clicked() {
+                        requests.perform(Action::ExportReport);
+                    }
+                });
+                self.show_numbers(ui);
             });
-            self.show_numbers(ui);
-        });
     }
 
     /// Turns the camera, or moves the wipe line.
@@ -118,15 +142,30 @@ impl ComparePanel {
                 let r = &panel.results[n];
                 let samples = r.stats.map_or_else(
                     || "–".into(),
-                    |s| format!("{:.2} M samples, {:.2} M skipped", s.samples_taken as f64 / 1e6, s.samples_skipped as f64 / 1e6),
+                    |s| {
+                        format!(
+                            "{:.2} M samples, {:.2} M skipped",
+                            s.samples_taken as f64 / 1e6,
+                            s.samples_skipped as f64 / 1e6
+                        )
+                    },
                 );
                 ui.label(format!("{label} {:.0} ms, {samples}", r.ms));
                 ui.separator();
             }
             match &panel.difference {
                 Some(d) => {
-                    let psnr = if d.psnr_db.is_finite() { format!("{:.1} dB", d.psnr_db) } else { "equal".into() };
-                    ui.label(format!("mean {} / 255, max {} / 255, PSNR {psnr}, SSIM {:.4}", number(d.mean, ""), number(d.max, ""), d.ssim));
+                    let psnr = if d.psnr_db.is_finite() {
+                        format!("{:.1} dB", d.psnr_db)
+                    } else {
+                        "equal".into()
+                    };
+                    ui.label(format!(
+                        "mean {} / 255, max {} / 255, PSNR {psnr}, SSIM {:.4}",
+                        number(d.mean, ""),
+                        number(d.max, ""),
+                        d.ssim
+                    ));
                 }
                 None => {
                     ui.label("…");
@@ -139,11 +178,18 @@ impl ComparePanel {
     /// first.
     fn place_panes(&mut self, rect: Rect, pixels_per_point: f32) -> Rect {
         let pane = if self.arrangement == Arrangement::Split {
-            Rect::from_min_size(rect.min, vec2((rect.width() / 2.0 - 1.0).max(16.0), rect.height()))
+            Rect::from_min_size(
+                rect.min,
+                vec2((rect.width() / 2.0 - 1.0).max(16.0), rect.height()),
+            )
         } else {
             rect
         };
-        let size = [(pane.width() * pixels_per_point) as u32, (pane.height() * pixels_per_point) as u32].map(|n| n.clamp(16, 4096));
+        let size = [
+            (pane.width() * pixels_per_point) as u32,
+            (pane.height() * pixels_per_point) as u32,
+        ]
+        .map(|n| n.clamp(16, 4096));
         if size != self.pane {
             self.pane = size;
             self.changed_at = Instant::now();
@@ -167,9 +213,18 @@ impl ComparePanel {
         if let Some((texture, _)) = there {
             shown::image(painter, texture, place);
         }
-        result.delay.draw(painter, painter.clip_rect().intersect(place), there.is_some());
+        result
+            .delay
+            .draw(painter, painter.clip_rect().intersect(place), there.is_some());
         if let Some((_, side)) = there {
-            text(painter, at, align, format!("{} · {}", ["A", "B"][n], side.words()), 13.0, theme::ON_CANVAS);
+            text(
+                painter,
+                at,
+                align,
+                format!("{} · {}", ["A", "B"][n], side.words()),
+                13.0,
+                theme::ON_CANVAS,
+            );
         }
     }
 
@@ -187,21 +242,44 @@ impl ComparePanel {
         let left = painter.with_clip_rect(Rect::from_min_max(rect.min, pos2(x, rect.bottom())));
         let right = painter.with_clip_rect(Rect::from_min_max(pos2(x, rect.top()), rect.max));
         self.draw_side(0, &left, rect, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP);
-        self.draw_side(1, &right, rect, pos2(rect.right() - 8.0, rect.top() + 6.0), Align2::RIGHT_TOP);
+        self.draw_side(
+            1,
+            &right,
+            rect,
+            pos2(rect.right() - 8.0, rect.top() + 6.0),
+            Align2::RIGHT_TOP,
+        );
         painter.vline(x, rect.y_range(), Stroke::new(2.0, theme::SELECTED));
-        painter.circle(pos2(x, rect.center().y), 7.0, theme::SELECTED, Stroke::new(2.0, Color32::from_black_alpha(200)));
+        painter.circle(
+            pos2(x, rect.center().y),
+            7.0,
+            theme::SELECTED,
+            Stroke::new(2.0, Color32::from_black_alpha(200)),
+        );
     }
 
     /// Draws the amplified difference, dimmed if a side failed or is out of date.
     fn draw_difference(&self, painter: &egui::Painter, rect: Rect) {
         if let Some(texture) = &self.difference_texture {
             shown::image(painter, texture, rect);
-            text(painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, format!("Difference × {AMPLIFY}"), 13.0, theme::ON_CANVAS);
+            text(
+                painter,
+                rect.min + vec2(8.0, 6.0),
+                Align2::LEFT_TOP,
+                format!("Difference × {AMPLIFY}"),
+                13.0,
+                theme::ON_CANVAS,
+            );
         }
-        if let Some(result) =
-            self.results.iter().find(|r| r.delay.failure.is_some()).or_else(|| self.results.iter().find(|r| r.delay.words(true).is_some()))
+        if let Some(result) = self
+            .results
+            .iter()
+            .find(|r| r.delay.failure.is_some())
+            .or_else(|| self.results.iter().find(|r| r.delay.words(true).is_some()))
         {
-            result.delay.draw(painter, rect, self.difference_texture.is_some());
+            result
+                .delay
+                .draw(painter, rect, self.difference_texture.is_some());
         }
     }
 }

@@ -26,7 +26,9 @@ impl Workstation {
     /// Shows the open dialog, and the file dialog over it.
     pub(in crate::gui) fn show_dialogs(&mut self, ctx: &Context) {
         self.show_files(ctx);
-        let Some(mut dialog) = self.dialog.take() else { return };
+        let Some(mut dialog) = self.dialog.take() else {
+            return;
+        };
         let modal = Modal::new(Id::new("dialog")).show(ctx, |ui| {
             ui.set_max_width(430.0);
             match &mut dialog {
@@ -52,7 +54,10 @@ impl Workstation {
 
     fn unsaved(&self, ui: &mut Ui, after: &NextStep) -> Decision {
         ui.heading("Unsaved changes");
-        ui.label(format!("{} has unsaved changes.", self.doc.as_ref().map_or("The scene", |d| &d.name)));
+        ui.label(format!(
+            "{} has unsaved changes.",
+            self.doc.as_ref().map_or("The scene", |d| &d.name)
+        ));
         let mut decision = Decision::Open;
         let after = after.clone();
         ui.add_space(8.0);
@@ -81,60 +86,90 @@ impl Workstation {
         let named = |travel: &ClipMotion| match travel {
             ClipMotion::Orbit => "camera orbit (360°)".to_owned(),
             ClipMotion::Progress(n) => {
-                format!("{} {}: progress", n + 1, deformations.get(*n).map_or_else(String::new, crate::gui::state::document::Document::title_of))
+                format!(
+                    "{} {}: progress",
+                    n + 1,
+                    deformations
+                        .get(*n)
+                        .map_or_else(String::new, crate::gui::state::document::Document::title_of)
+                )
             }
             ClipMotion::Parameter(n, name) => {
-                format!("{} {}: {name}", n + 1, deformations.get(*n).map_or_else(String::new, crate::gui::state::document::Document::title_of))
+                format!(
+                    "{} {}: {name}",
+                    n + 1,
+                    deformations
+                        .get(*n)
+                        .map_or_else(String::new, crate::gui::state::document::Document::title_of)
+                )
             }
         };
         let mut travels = vec![ClipMotion::Orbit];
         for (n, d) in deformations.iter().enumerate() {
             let kind = crate::gui::gizmos::kind_of(d);
             travels.push(ClipMotion::Progress(n));
-            travels.extend(kind.iter().flat_map(|k| k.parameters).map(|p| ClipMotion::Parameter(n, p.name.to_owned())));
+            travels.extend(
+                kind.iter()
+                    .flat_map(|k| k.parameters)
+                    .map(|p| ClipMotion::Parameter(n, p.name.to_owned())),
+            );
         }
-        egui::Grid::new("clip").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
-            ui.label("Animate");
-            egui::ComboBox::from_id_salt("travel").width(240.0).selected_text(named(&form.travel)).show_ui(ui, |ui| {
-                for travel in travels {
-                    let text = named(&travel);
-                    if ui.selectable_label(form.travel == travel, text).clicked() {
-                        form.back = travel != ClipMotion::Orbit;
-                        if let (ClipMotion::Parameter(n, name), Some(doc)) = (&travel, &self.doc) {
-                            let d = &doc.scene.deformation[*n];
-                            if let Some(kind) = crate::gui::gizmos::kind_of(d)
-                                && let Some(p) = kind.parameters.iter().position(|p| p.name == name)
-                            {
-                                let size = crate::gui::gizmos::BoxPlacement::of(d, kind, &doc.bounds()).size;
-                                form.range = crate::gui::gizmos::parameter(d, kind, p, size).1;
+        egui::Grid::new("clip")
+            .num_columns(2)
+            .spacing([12.0, 6.0])
+            .show(ui, |ui| {
+                ui.label("Animate");
+                egui::ComboBox::from_id_salt("travel")
+                    .width(240.0)
+                    .selected_text(named(&form.travel))
+                    .show_ui(ui, |ui| {
+                        for travel in travels {
+                            let text = named(&travel);
+                            if ui.selectable_label(form.travel == travel, text).clicked() {
+                                form.back = travel != ClipMotion::Orbit;
+                                if let (ClipMotion::Parameter(n, name), Some(doc)) = (&travel, &self.doc) {
+                                    let d = &doc.scene.deformation[*n];
+                                    if let Some(kind) = crate::gui::gizmos::kind_of(d)
+                                        && let Some(p) = kind.parameters.iter().position(|p| p.name == name)
+                                    {
+                                        let size =
+                                            crate::gui::gizmos::BoxPlacement::of(d, kind, &doc.bounds()).size;
+                                        form.range = crate::gui::gizmos::parameter(d, kind, p, size).1;
+                                    }
+                                } else {
+                                    form.range = [0.0, 1.0];
+                                }
+                                form.travel = travel;
                             }
-                        } else {
-                            form.range = [0.0, 1.0];
                         }
-                        form.travel = travel;
-                    }
+                    });
+                ui.end_row();
+                if form.travel != ClipMotion::Orbit {
+                    ui.label("Range");
+                    ui.horizontal(|ui| {
+                        let [a, b] = &mut form.range;
+                        ui.add(DragValue::new(a).speed(0.01).max_decimals(3));
+                        ui.add(DragValue::new(b).speed(0.01).max_decimals(3));
+                        ui.checkbox(&mut form.back, "Back and forth");
+                    });
+                    ui.end_row();
                 }
-            });
-            ui.end_row();
-            if form.travel != ClipMotion::Orbit {
-                ui.label("Range");
+                ui.label("Frames");
                 ui.horizontal(|ui| {
-                    let [a, b] = &mut form.range;
-                    ui.add(DragValue::new(a).speed(0.01).max_decimals(3));
-                    ui.add(DragValue::new(b).speed(0.01).max_decimals(3));
-                    ui.checkbox(&mut form.back, "Back and forth");
+                    ui.add(DragValue::new(&mut form.frames).range(2..=2000));
+                    ui.add(
+                        DragValue::new(&mut form.rate)
+                            .range(1.0..=60.0)
+                            .suffix(" fps")
+                            .max_decimals(0),
+                    );
                 });
                 ui.end_row();
-            }
-            ui.label("Frames");
-            ui.horizontal(|ui| {
-                ui.add(DragValue::new(&mut form.frames).range(2..=2000));
-                ui.add(DragValue::new(&mut form.rate).range(1.0..=60.0).suffix(" fps").max_decimals(0));
+                size_row(ui, &mut form.size, 4096);
             });
-            ui.end_row();
-            size_row(ui, &mut form.size, 4096);
-        });
-        buttons(ui, "Choose file…", form.clone(), |app, form| app.choose_clip_file(form))
+        buttons(ui, "Choose file…", form.clone(), |app, form| {
+            app.choose_clip_file(form)
+        })
     }
 }
 
@@ -149,7 +184,12 @@ fn size_row(ui: &mut Ui, size: &mut [u32; 2], most: u32) {
     ui.end_row();
 }
 
-fn buttons<T: 'static>(ui: &mut Ui, word: &str, form: T, f: impl FnOnce(&mut Workstation, T) + 'static) -> Decision {
+fn buttons<T: 'static>(
+    ui: &mut Ui,
+    word: &str,
+    form: T,
+    f: impl FnOnce(&mut Workstation, T) + 'static,
+) -> Decision {
     let mut decision = Decision::Open;
     ui.add_space(8.0);
     ui.horizontal(|ui| {
@@ -168,13 +208,20 @@ fn recover(ui: &mut Ui, left: &[crate::gui::state::session::Recovered]) -> Decis
     let mut decision = Decision::Open;
     ui.add_space(6.0);
     for one in left {
-        let name = one.original.as_ref().and_then(|p| p.file_name()).map_or_else(|| "unsaved scene".into(), |n| n.to_string_lossy().into_owned());
-        let ago = one.saved.and_then(|t| t.elapsed().ok()).map_or_else(String::new, |d| match d.as_secs() {
-            s if s < 120 => format!(", {s} s ago"),
-            s if s < 7200 => format!(", {} min ago", s / 60),
-            s if s < 172_800 => format!(", {} h ago", s / 3600),
-            s => format!(", {} days ago", s / 86_400),
-        });
+        let name = one
+            .original
+            .as_ref()
+            .and_then(|p| p.file_name())
+            .map_or_else(|| "unsaved scene".into(), |n| n.to_string_lossy().into_owned());
+        let ago = one
+            .saved
+            .and_then(|t| t.elapsed().ok())
+            .map_or_else(String::new, |d| match d.as_secs() {
+                s if s < 120 => format!(", {s} s ago"),
+                s if s < 7200 => format!(", {} min ago", s / 60),
+                s if s < 172_800 => format!(", {} h ago", s / 3600),
+                s => format!(", {} days ago", s / 86_400),
+            });
         ui.horizontal(|ui| {
             if ui.button("Recover").clicked() {
                 let one = one.clone();
@@ -208,23 +255,37 @@ fn picture(ui: &mut Ui, form: &mut PictureForm) -> Decision {
         for (word, width) in [("HD", 1920), ("4K", 3840), ("8K", 7680)] {
             if ui.button(word).clicked() {
                 let [w, h] = form.size;
-                form.size = [width, ((f64::from(h) * f64::from(width) / f64::from(w.max(1))).round() as u32).clamp(16, MAX_PICTURE_EDGE)];
+                form.size = [
+                    width,
+                    ((f64::from(h) * f64::from(width) / f64::from(w.max(1))).round() as u32)
+                        .clamp(16, MAX_PICTURE_EDGE),
+                ];
             }
         }
     });
-    egui::Grid::new("picture").num_columns(2).spacing([12.0, 6.0]).show(ui, |ui| {
-        size_row(ui, &mut form.size, MAX_PICTURE_EDGE);
-        ui.label("Supersampling");
-        ui.add(Slider::new(&mut form.antialias, 1..=4).clamping(egui::SliderClamping::Edits));
-        ui.end_row();
-        ui.label("Step (voxels)");
-        ui.add(Slider::new(&mut form.step, 0.1..=2.0).clamping(egui::SliderClamping::Edits).logarithmic(true).max_decimals(2));
-        ui.end_row();
-        ui.label("Background");
-        ui.checkbox(&mut form.transparent, "Transparent");
-        ui.end_row();
-    });
-    buttons(ui, "Choose file…", form.clone(), |app, form| app.choose_picture_file(form))
+    egui::Grid::new("picture")
+        .num_columns(2)
+        .spacing([12.0, 6.0])
+        .show(ui, |ui| {
+            size_row(ui, &mut form.size, MAX_PICTURE_EDGE);
+            ui.label("Supersampling");
+            ui.add(Slider::new(&mut form.antialias, 1..=4).clamping(egui::SliderClamping::Edits));
+            ui.end_row();
+            ui.label("Step (voxels)");
+            ui.add(
+                Slider::new(&mut form.step, 0.1..=2.0)
+                    .clamping(egui::SliderClamping::Edits)
+                    .logarithmic(true)
+                    .max_decimals(2),
+            );
+            ui.end_row();
+            ui.label("Background");
+            ui.checkbox(&mut form.transparent, "Transparent");
+            ui.end_row();
+        });
+    buttons(ui, "Choose file…", form.clone(), |app, form| {
+        app.choose_picture_file(form)
+    })
 }
 
 fn running(ui: &mut Ui) -> Decision {
@@ -247,7 +308,9 @@ fn running(ui: &mut Ui) -> Decision {
 }
 
 fn locate(ui: &mut Ui, dialog: &Dialog) -> Decision {
-    let Dialog::Locate { problem, .. } = dialog else { return Decision::Close };
+    let Dialog::Locate { problem, .. } = dialog else {
+        return Decision::Close;
+    };
     ui.heading("A file is missing");
     ui.label(problem);
     ui.label(RichText::new("Other missing files in the same folder will be located too.").weak());
@@ -266,7 +329,10 @@ fn locate(ui: &mut Ui, dialog: &Dialog) -> Decision {
 
 fn second(ui: &mut Ui, path: &std::path::Path) -> Decision {
     ui.heading("A second volume");
-    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let name = path.file_name().map_or_else(
+        || path.display().to_string(),
+        |n| n.to_string_lossy().into_owned(),
+    );
     ui.label(format!("How should {name} be used?"));
     let mut decision = Decision::Open;
     ui.add_space(8.0);

@@ -29,17 +29,29 @@ impl MapEditor {
             }
             let mut grid = state.slices.overlay == Overlay::Grid;
             if ui.checkbox(&mut grid, "Grid on slices").changed() {
-                requests.0.push(Request::SetOverlay(if grid { Overlay::Grid } else { Overlay::None }));
+                requests.0.push(Request::SetOverlay(if grid {
+                    Overlay::Grid
+                } else {
+                    Overlay::None
+                }));
             }
         });
         heading(ui, "Primitives");
         show_primitives(state, ui, &mut requests);
         heading(ui, "Library");
         ui.horizontal_wrapped(|ui| {
-            if ui.button("Save the selected one").on_hover_text("The selected deformation, as a map of its own").clicked() {
+            if ui
+                .button("Save the selected one")
+                .on_hover_text("The selected deformation, as a map of its own")
+                .clicked()
+            {
                 requests.perform(Action::SaveMap);
             }
-            if ui.button("Save the stack").on_hover_text("All deformations, composed into one map").clicked() {
+            if ui
+                .button("Save the stack")
+                .on_hover_text("All deformations, composed into one map")
+                .clicked()
+            {
                 requests.perform(Action::StackToMap);
             }
         });
@@ -70,9 +82,23 @@ fn show_paint_tools(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
 fn show_brush(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
     let mut brush = state.brush;
-    let largest = state.doc.as_ref().map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
-    ui.add(Slider::new(&mut brush.radius, 1.0..=largest.max(2.0)).clamping(egui::SliderClamping::Edits).text("radius").suffix(" mm").max_decimals(1));
-    ui.add(Slider::new(&mut brush.strength, 0.05..=1.0).clamping(egui::SliderClamping::Edits).text("strength").max_decimals(2));
+    let largest = state
+        .doc
+        .as_ref()
+        .map_or(100.0, |d| 0.5 * d.bounds().size().max_element());
+    ui.add(
+        Slider::new(&mut brush.radius, 1.0..=largest.max(2.0))
+            .clamping(egui::SliderClamping::Edits)
+            .text("radius")
+            .suffix(" mm")
+            .max_decimals(1),
+    );
+    ui.add(
+        Slider::new(&mut brush.strength, 0.05..=1.0)
+            .clamping(egui::SliderClamping::Edits)
+            .text("strength")
+            .max_decimals(2),
+    );
     if brush != state.brush {
         requests.0.push(Request::SetBrush(brush));
     }
@@ -81,12 +107,21 @@ fn show_brush(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
 /// Buttons for the kinds that maps are made of; each can also be dragged onto the view.
 fn show_primitives(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     ui.horizontal_wrapped(|ui| {
-        for name in ["pull", "bulge", "twist", "bend", "slab", "explode", "sphere", "box", "lattice", "points", "elastic"] {
+        for name in [
+            "pull", "bulge", "twist", "bend", "slab", "explode", "sphere", "box", "lattice", "points",
+            "elastic",
+        ] {
             if let Ok(kind) = crate::deform::kinds::kind(name) {
                 let tool = Tool::Place(Placed(kind));
-                let word = if name == "points" { "Control points" } else { &words(name) };
+                let word = if name == "points" {
+                    "Control points"
+                } else {
+                    &words(name)
+                };
                 let button = tool_button(ui, symbol(name), word, state.tool == tool, kind.about);
-                button.interact(egui::Sense::drag()).dnd_set_drag_payload(Placed(kind));
+                button
+                    .interact(egui::Sense::drag())
+                    .dnd_set_drag_payload(Placed(kind));
                 if button.clicked() {
                     if name == "points" {
                         add_control_points(requests);
@@ -118,9 +153,17 @@ fn show_library(ui: &mut Ui, state: &Workstation, requests: &mut Requests) {
         ui.label(RichText::new("No saved maps yet. A saved map can be used on any volume.").weak());
     }
     for path in &maps {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         ui.horizontal(|ui| {
-            if ui.button(format!("{} {name}", icon::PLUS)).on_hover_text("Add to this scene, scaled to fit").clicked() {
+            if ui
+                .button(format!("{} {name}", icon::PLUS))
+                .on_hover_text("Add to this scene, scaled to fit")
+                .clicked()
+            {
                 requests.0.push(Request::UseMap(path.clone()));
             }
             if super::icon_button(ui, icon::TRASH, &format!("Remove {name} from the library")).clicked() {

@@ -24,7 +24,11 @@ pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
             LogLevel::Warning => (icon::WARNING, Some(warn)),
             LogLevel::Error => (icon::PROHIBIT, Some(error)),
         };
-        let times = if entry.times > 1 { format!(" (×{})", entry.times) } else { String::new() };
+        let times = if entry.times > 1 {
+            format!(" (×{})", entry.times)
+        } else {
+            String::new()
+        };
         let mut text = RichText::new(format!("{symbol} {}{times}", entry.text));
         if let Some(color) = color {
             text = text.color(color);

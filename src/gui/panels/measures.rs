@@ -32,7 +32,12 @@ impl MeasurePanel {
         self.show_label_tool(ui, doc, &mut requests);
         heading(ui, "Results");
         let caution = ui.visuals().warn_fg_color;
-        if let Some(misplaced) = doc.assets.volume.misplaced.filter(|_| !doc.scene.measure.is_empty()) {
+        if let Some(misplaced) = doc
+            .assets
+            .volume
+            .misplaced
+            .filter(|_| !doc.scene.measure.is_empty())
+        {
             ui.label(
                 RichText::new(format!(
                     "Positions and lengths are off by up to {:.1} mm because the slices are not shown at their acquired positions",
@@ -45,8 +50,9 @@ impl MeasurePanel {
             show_name(ui, doc, n, measure, &mut requests);
             if measure.before_resampling {
                 let mark = format!("    {} made before resampling; measure it again", icon::WARNING);
-                ui.label(RichText::new(mark).color(caution))
-                    .on_hover_text("Resampling moved the slices; its points may no longer mark the same anatomy");
+                ui.label(RichText::new(mark).color(caution)).on_hover_text(
+                    "Resampling moved the slices; its points may no longer mark the same anatomy",
+                );
             }
             show_values(ui, measure, state.measured.get(n));
         }
@@ -86,7 +92,11 @@ impl MeasurePanel {
                 }
             }
             None => {
-                if ui.button("Label map…").on_hover_text("Needed to measure volumes and surface areas of regions").clicked() {
+                if ui
+                    .button("Label map…")
+                    .on_hover_text("Needed to measure volumes and surface areas of regions")
+                    .clicked()
+                {
                     requests.0.push(Request::ChooseLabelMap);
                 }
             }
@@ -99,7 +109,11 @@ fn show_name(ui: &mut Ui, doc: &Document, n: usize, measure: &Measure, requests:
     ui.horizontal(|ui| {
         let mut name = measure.name.clone().unwrap_or_default();
         let width = (ui.available_width() - 34.0).max(60.0);
-        let field = ui.add(egui::TextEdit::singleline(&mut name).desired_width(width).hint_text(measure.kind.name()));
+        let field = ui.add(
+            egui::TextEdit::singleline(&mut name)
+                .desired_width(width)
+                .hint_text(measure.kind.name()),
+        );
         if field.changed() {
             requests.change(move |doc| doc.scene.measure[n].name = (!name.is_empty()).then_some(name));
         }
@@ -115,13 +129,20 @@ fn show_name(ui: &mut Ui, doc: &Document, n: usize, measure: &Measure, requests:
     });
 }
 
-/// A measurement's values. They belong to the measurement for which they were computed, which may have changed since.
+/// A measurement's values. They belong to the measurement for which they were computed, which may
+/// have changed since.
 fn show_values(ui: &mut Ui, measure: &Measure, measured: Option<&MeasureResult>) {
-    let is_of = |m: &&MeasureResult| m.measure.points == measure.points && m.measure.kind == measure.kind && m.measure.label == measure.label;
+    let is_of = |m: &&MeasureResult| {
+        m.measure.points == measure.points
+            && m.measure.kind == measure.kind
+            && m.measure.label == measure.label
+    };
     match measured.filter(is_of).map(|m| &m.quantities) {
         Some(Ok(quantities)) => {
             for q in quantities {
-                let value = q.value.map_or_else(|| "not visible".to_owned(), |v| number(v, q.unit));
+                let value = q
+                    .value
+                    .map_or_else(|| "not visible".to_owned(), |v| number(v, q.unit));
                 ui.label(format!("    {}: {value}", q.what));
             }
         }

@@ -20,10 +20,18 @@ use eframe::egui::{self, Color32, Response, RichText, TextureHandle, Ui, WidgetI
 
 /// A button with an icon and a word; assistive technology receives the word alone.
 pub fn tool_button(ui: &mut Ui, symbol: &str, word: &str, selected: bool, tip: &str) -> Response {
-    let text = if symbol.is_empty() { word.to_owned() } else { format!("{symbol} {word}") };
+    let text = if symbol.is_empty() {
+        word.to_owned()
+    } else {
+        format!("{symbol} {word}")
+    };
     let response = ui.add(egui::Button::selectable(selected, text));
     labelled(&response, word, selected);
-    if tip.is_empty() { response } else { response.on_hover_text(tip) }
+    if tip.is_empty() {
+        response
+    } else {
+        response.on_hover_text(tip)
+    }
 }
 
 /// A button with an icon alone.
@@ -45,27 +53,60 @@ pub fn heading(ui: &mut Ui, text: &str) {
 }
 
 /// A picture with a word below it, as a button.
-pub fn gallery_item(ui: &mut Ui, texture: Option<&TextureHandle>, symbol: &str, word: &str, selected: bool) -> Response {
+pub fn gallery_item(
+    ui: &mut Ui,
+    texture: Option<&TextureHandle>,
+    symbol: &str,
+    word: &str,
+    selected: bool,
+) -> Response {
     let size = vec2(86.0, 92.0);
     let (rect, response) = ui.allocate_exact_size(size, egui::Sense::click_and_drag());
     response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, selected, word));
     let visuals = ui.style().interact_selectable(&response, selected);
     let painter = ui.painter();
-    painter.rect(rect, 4.0, visuals.weak_bg_fill, visuals.bg_stroke, egui::StrokeKind::Inside);
+    painter.rect(
+        rect,
+        4.0,
+        visuals.weak_bg_fill,
+        visuals.bg_stroke,
+        egui::StrokeKind::Inside,
+    );
     let picture = egui::Rect::from_min_size(rect.min + vec2(9.0, 4.0), vec2(68.0, 68.0));
     painter.rect_filled(picture, 3.0, theme::CANVAS);
     match texture {
         Some(texture) => {
-            painter.image(texture.id(), picture, egui::Rect::from_min_max(egui::pos2(0.0, 0.0), egui::pos2(1.0, 1.0)), Color32::WHITE);
+            painter.image(
+                texture.id(),
+                picture,
+                egui::Rect::from_min_max(egui::pos2(0.0, 0.0), egui::pos2(1.0, 1.0)),
+                Color32::WHITE,
+            );
         }
         None => {
-            painter.text(picture.center(), egui::Align2::CENTER_CENTER, symbol, egui::FontId::proportional(24.0), Color32::from_gray(150));
+            painter.text(
+                picture.center(),
+                egui::Align2::CENTER_CENTER,
+                symbol,
+                egui::FontId::proportional(24.0),
+                Color32::from_gray(150),
+            );
         }
     }
     let font = egui::FontId::proportional(13.0);
     let galley = painter.layout_no_wrap(word.to_owned(), font.clone(), visuals.text_color());
-    let text = if galley.size().x > size.x - 6.0 { shortened(ui, word, size.x - 6.0) } else { word.to_owned() };
-    ui.painter().text(egui::pos2(rect.center().x, rect.bottom() - 3.0), egui::Align2::CENTER_BOTTOM, text, font, visuals.text_color());
+    let text = if galley.size().x > size.x - 6.0 {
+        shortened(ui, word, size.x - 6.0)
+    } else {
+        word.to_owned()
+    };
+    ui.painter().text(
+        egui::pos2(rect.center().x, rect.bottom() - 3.0),
+        egui::Align2::CENTER_BOTTOM,
+        text,
+        font,
+        visuals.text_color(),
+    );
     response
 }
 
@@ -75,7 +116,9 @@ fn shortened(ui: &Ui, word: &str, width: f32) -> String {
     while chars.len() > 1 {
         chars.pop();
         let text: String = chars.iter().chain(['…'].iter()).collect();
-        let galley = ui.painter().layout_no_wrap(text.clone(), egui::FontId::proportional(13.0), Color32::WHITE);
+        let galley =
+            ui.painter()
+                .layout_no_wrap(text.clone(), egui::FontId::proportional(13.0), Color32::WHITE);
         if galley.size().x <= width {
             return text;
         }

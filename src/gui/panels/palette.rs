@@ -28,7 +28,9 @@ impl Palette {
             .entries
             .iter()
             .enumerate()
-            .filter_map(|(n, e)| rank(&format!("{} {} {:?}", e.label, e.group, e.action), &palette.query).map(|r| (r, n)))
+            .filter_map(|(n, e)| {
+                rank(&format!("{} {} {:?}", e.label, e.group, e.action), &palette.query).map(|r| (r, n))
+            })
             .collect();
         if !palette.query.is_empty() {
             found.sort();
@@ -48,7 +50,9 @@ impl Palette {
             palette.row += 1;
         }
         palette.row = palette.row.min(found.len().saturating_sub(1));
-        let mut chosen: Option<Action> = enter.then(|| found.get(palette.row).map(|f| state.entries[f.1].action)).flatten();
+        let mut chosen: Option<Action> = enter
+            .then(|| found.get(palette.row).map(|f| state.entries[f.1].action))
+            .flatten();
         let mut close = escape || (enter && chosen.is_some());
         let response = egui::Window::new("Command palette")
             .title_bar(false)
@@ -57,7 +61,11 @@ impl Palette {
             .anchor(Align2::CENTER_TOP, vec2(0.0, 90.0))
             .fixed_size(vec2(460.0, 380.0))
             .show(ctx, |ui| {
-                let field = ui.add(egui::TextEdit::singleline(&mut palette.query).hint_text("Type a command").desired_width(f32::INFINITY));
+                let field = ui.add(
+                    egui::TextEdit::singleline(&mut palette.query)
+                        .hint_text("Type a command")
+                        .desired_width(f32::INFINITY),
+                );
                 field.widget_info(|| egui::WidgetInfo::text_edit(true, "", "", "Command"));
                 if !palette.shown {
                     field.request_focus();
@@ -66,28 +74,37 @@ impl Palette {
                 if field.changed() {
                     palette.row = 0;
                 }
-                egui::ScrollArea::vertical().max_height(336.0).auto_shrink([false, false]).show(ui, |ui| {
-                    for (n, (_, entry)) in found.iter().enumerate() {
-                        let entry = &state.entries[*entry];
-                        let key = entry.key.as_ref().map(action::key_text).unwrap_or_default();
-                        let button =
-                            egui::Button::selectable(n == palette.row, &entry.label).shortcut_text(key).min_size(vec2(ui.available_width(), 24.0));
-                        let row = ui.add(button);
-                        row.widget_info(|| {
-                            egui::WidgetInfo::selected(egui::WidgetType::Button, true, n == palette.row, format!("Command: {}", entry.label))
-                        });
-                        if row.clicked() {
-                            chosen = Some(entry.action);
-                            close = true;
+                egui::ScrollArea::vertical()
+                    .max_height(336.0)
+                    .auto_shrink([false, false])
+                    .show(ui, |ui| {
+                        for (n, (_, entry)) in found.iter().enumerate() {
+                            let entry = &state.entries[*entry];
+                            let key = entry.key.as_ref().map(action::key_text).unwrap_or_default();
+                            let button = egui::Button::selectable(n == palette.row, &entry.label)
+                                .shortcut_text(key)
+                                .min_size(vec2(ui.available_width(), 24.0));
+                            let row = ui.add(button);
+                            row.widget_info(|| {
+                                egui::WidgetInfo::selected(
+                                    egui::WidgetType::Button,
+                                    true,
+                                    n == palette.row,
+                                    format!("Command: {}", entry.label),
+                                )
+                            });
+                            if row.clicked() {
+                                chosen = Some(entry.action);
+                                close = true;
+                            }
+                            if n == palette.row && (up || down) {
+                                row.scroll_to_me(None);
+                            }
                         }
-                        if n == palette.row && (up || down) {
-                            row.scroll_to_me(None);
+                        if found.is_empty() {
+                            ui.label(RichText::new("No such command").weak());
                         }
-                    }
-                    if found.is_empty() {
-                        ui.label(RichText::new("No such command").weak());
-                    }
-                });
+                    });
             });
         if ctx.input(|i| i.pointer.any_click())
             && let (Some(window), Some(pos)) = (response, ctx.pointer_latest_pos())
@@ -114,7 +131,12 @@ impl KeyList {
         if !waiting.is_empty() {
             let pressed = ctx.input(|i| {
                 i.events.iter().find_map(|e| match e {
-                    egui::Event::Key { key, pressed: true, modifiers, .. } => Some((*key, *modifiers)),
+                    egui::Event::Key {
+                        key,
+                        pressed: true,
+                        modifiers,
+                        ..
+                    } => Some((*key, *modifiers)),
                     _ => None,
                 })
             });
@@ -124,7 +146,10 @@ impl KeyList {
                     pressed.command = modifiers.command;
                     pressed.alt = modifiers.alt;
                     pressed.shift = modifiers.shift;
-                    requests.0.push(Request::SetKey(waiting.clone(), egui::KeyboardShortcut::new(pressed, key)));
+                    requests.0.push(Request::SetKey(
+                        waiting.clone(),
+                        egui::KeyboardShortcut::new(pressed, key),
+                    ));
                 }
                 waiting.clear();
             }
@@ -148,24 +173,36 @@ impl KeyList {
                         requests.0.push(Request::ResetKeys);
                     }
                 });
-                egui::ScrollArea::vertical().max_height(360.0).auto_shrink([false, false]).show(ui, |ui| {
-                    egui::Grid::new("keys").num_columns(2).striped(true).show(ui, |ui| {
-                        for entry in &state.entries {
-                            ui.label(&entry.label);
-                            let text = if *waiting == entry.label {
-                                "press a key…".to_owned()
-                            } else {
-                                entry.key.as_ref().map_or_else(|| "–".into(), action::key_text)
-                            };
-                            let button = ui.add(egui::Button::new(text).min_size(vec2(110.0, 20.0)));
-                            button.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Button, true, format!("Key of {}", entry.label)));
-                            if button.clicked() {
-                                waiting.clone_from(&entry.label);
-                            }
-                            ui.end_row();
-                        }
+                egui::ScrollArea::vertical()
+                    .max_height(360.0)
+                    .auto_shrink([false, false])
+                    .show(ui, |ui| {
+                        egui::Grid::new("keys")
+                            .num_columns(2)
+                            .striped(true)
+                            .show(ui, |ui| {
+                                for entry in &state.entries {
+                                    ui.label(&entry.label);
+                                    let text = if *waiting == entry.label {
+                                        "press a key…".to_owned()
+                                    } else {
+                                        entry.key.as_ref().map_or_else(|| "–".into(), action::key_text)
+                                    };
+                                    let button = ui.add(egui::Button::new(text).min_size(vec2(110.0, 20.0)));
+                                    button.widget_info(|| {
+                                        egui::WidgetInfo::labeled(
+                                            egui::WidgetType::Button,
+                                            true,
+                                            format!("Key of {}", entry.label),
+                                        )
+                                    });
+                                    if button.clicked() {
+                                        waiting.clone_from(&entry.label);
+                                    }
+                                    ui.end_row();
+                                }
+                            });
                     });
-                });
             });
         (requests, open)
     }

@@ -38,7 +38,8 @@ pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
                     (icon::STACK, "Open a folder", Action::OpenFolder),
                     (icon::BRAIN, "Open the bundled head", Action::OpenHead),
                 ] {
-                    let response = ui.add(egui::Button::new(format!("{symbol}  {word}")).min_size(vec2(172.0, 36.0)));
+                    let response =
+                        ui.add(egui::Button::new(format!("{symbol}  {word}")).min_size(vec2(172.0, 36.0)));
                     response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, word));
                     if response.clicked() {
                         requests.perform(a);
@@ -54,7 +55,11 @@ pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
                 ui.horizontal(|ui| {
                     ui.add_space((ui.available_width() - 3.0 * 222.0).max(0.0) / 2.0);
                     for (file, about) in row {
-                        if ui.add(egui::Button::new(*about).min_size(vec2(216.0, 30.0))).on_hover_text(*file).clicked() {
+                        if ui
+                            .add(egui::Button::new(*about).min_size(vec2(216.0, 30.0)))
+                            .on_hover_text(*file)
+                            .clicked()
+                        {
                             requests.0.push(Request::OpenBundled(file));
                         }
                     }
@@ -64,8 +69,15 @@ pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
                 ui.add_space(22.0);
                 ui.label(RichText::new("Recent").strong());
                 for path in &state.session.settings.recent {
-                    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-                    if ui.add(egui::Button::new(name).frame(false)).on_hover_text(path.display().to_string()).clicked() {
+                    let name = path.file_name().map_or_else(
+                        || path.display().to_string(),
+                        |n| n.to_string_lossy().into_owned(),
+                    );
+                    if ui
+                        .add(egui::Button::new(name).frame(false))
+                        .on_hover_text(path.display().to_string())
+                        .clicked()
+                    {
                         requests.0.push(Request::Open(path.clone()));
                     }
                 }

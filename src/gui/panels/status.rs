@@ -12,12 +12,20 @@ use egui_phosphor::regular as icon;
 /// Draws the bar at the bottom: the point under the pointer, reductions, work in progress.
 pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
     let mut requests = Requests::default();
-    egui::Panel::bottom("status").frame(egui::Frame::NONE.fill(ui.visuals().panel_fill).inner_margin(egui::Margin::symmetric(10, 4))).show(
-        ui,
-        |ui| {
+    egui::Panel::bottom("status")
+        .frame(
+            egui::Frame::NONE
+                .fill(ui.visuals().panel_fill)
+                .inner_margin(egui::Margin::symmetric(10, 4)),
+        )
+        .show(ui, |ui| {
             ui.horizontal(|ui| {
-                let left =
-                    state.hover.as_ref().map(Hover::words).or_else(|| state.doc.as_ref().map(|_| state.title())).unwrap_or_else(|| "incise".into());
+                let left = state
+                    .hover
+                    .as_ref()
+                    .map(Hover::words)
+                    .or_else(|| state.doc.as_ref().map(|_| state.title()))
+                    .unwrap_or_else(|| "incise".into());
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                     show_work(state, ui, &mut requests);
                     if state.doc.is_some() {
@@ -29,8 +37,7 @@ pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
                     });
                 });
             });
-        },
-    );
+        });
     requests
 }
 
@@ -41,13 +48,21 @@ fn show_work(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
         if icon_button(ui, icon::X, "Cancel loading").clicked() {
             requests.0.push(Request::CancelLoading);
         }
-        ui.add(egui::ProgressBar::new(share).desired_width(150.0).text(format!("{what} {}", loading.name)));
+        ui.add(
+            egui::ProgressBar::new(share)
+                .desired_width(150.0)
+                .text(format!("{what} {}", loading.name)),
+        );
     }
     for (n, task) in state.tasks.iter().enumerate() {
         if icon_button(ui, icon::X, &format!("Cancel: {}", task.name)).clicked() {
             requests.0.push(Request::CancelTask(n));
         }
-        ui.add(egui::ProgressBar::new(task.progress()).desired_width(150.0).text(&task.name));
+        ui.add(
+            egui::ProgressBar::new(task.progress())
+                .desired_width(150.0)
+                .text(&task.name),
+        );
     }
     if !state.tasks.is_empty() || state.loading.is_some() {
         ui.separator();
@@ -58,7 +73,12 @@ fn show_work(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
 /// The backend, to be changed, with what it says of the picture.
 fn show_backend(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     let facts = &state.view.facts;
-    let mut words = format!("{} · step {:.1} · {:.0} ms", facts.device.as_ref().map_or("…", |d| &d.name), facts.step, facts.ms);
+    let mut words = format!(
+        "{} · step {:.1} · {:.0} ms",
+        facts.device.as_ref().map_or("…", |d| &d.name),
+        facts.step,
+        facts.ms
+    );
     if !state.view.is_current() {
         words += " · out of date";
     } else if !state.view.is_fine {
@@ -69,7 +89,11 @@ fn show_backend(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     }
     let chosen = state.backend();
     let response = ui.menu_button(words, |ui| {
-        for (backend, word) in [(Backend::Auto, "Hardware GPU if there is one"), (Backend::Gpu, "Any GPU"), (Backend::Cpu, "CPU")] {
+        for (backend, word) in [
+            (Backend::Auto, "Hardware GPU if there is one"),
+            (Backend::Gpu, "Any GPU"),
+            (Backend::Cpu, "CPU"),
+        ] {
             if ui.radio(chosen == backend, word).clicked() {
                 requests.0.push(Request::SetBackend(backend));
                 ui.close();
@@ -79,7 +103,9 @@ fn show_backend(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
             ui.label(notice);
         }
     });
-    response.response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Backend"));
+    response
+        .response
+        .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Backend"));
     ui.separator();
 }
 
@@ -100,7 +126,11 @@ fn show_slice_choices(state: &Workstation, ui: &mut Ui, requests: &mut Requests)
     };
     let response = ui.menu_button(format!("Slices: {space}, {overlay}"), |ui| {
         ui.set_min_width(280.0);
-        for (s, word) in [(Space::Deformed, "Deformed anatomy"), (Space::Source, "Source anatomy"), (Space::Linked, "Both, linked")] {
+        for (s, word) in [
+            (Space::Deformed, "Deformed anatomy"),
+            (Space::Source, "Source anatomy"),
+            (Space::Linked, "Both, linked"),
+        ] {
             if ui.radio(state.slices.space == s, word).clicked() {
                 requests.0.push(Request::SetSpace(s));
             }
@@ -129,6 +159,8 @@ fn show_slice_choices(state: &Workstation, ui: &mut Ui, requests: &mut Requests)
             });
         }
     });
-    response.response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Slice display"));
+    response
+        .response
+        .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Slice display"));
     ui.separator();
 }

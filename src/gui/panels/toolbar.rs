@@ -15,31 +15,39 @@ use egui_phosphor::regular as icon;
 /// Draws the bar at the top.
 pub fn ui(state: &Workstation, ui: &mut Ui) -> Requests {
     let mut requests = Requests::default();
-    egui::Panel::top("toolbar").frame(egui::Frame::NONE.fill(ui.visuals().panel_fill).inner_margin(egui::Margin::symmetric(8, 5))).show(ui, |ui| {
-        ui.horizontal(|ui| {
-            ui.spacing_mut().item_spacing.x = 1.0;
-            ui.spacing_mut().button_padding.x = 6.0;
-            ui.menu_button(format!("{} Menu", icon::LIST), |ui| show_menu(state, ui, &mut requests))
+    egui::Panel::top("toolbar")
+        .frame(
+            egui::Frame::NONE
+                .fill(ui.visuals().panel_fill)
+                .inner_margin(egui::Margin::symmetric(8, 5)),
+        )
+        .show(ui, |ui| {
+            ui.horizontal(|ui| {
+                ui.spacing_mut().item_spacing.x = 1.0;
+                ui.spacing_mut().button_padding.x = 6.0;
+                ui.menu_button(format!("{} Menu", icon::LIST), |ui| {
+                    show_menu(state, ui, &mut requests)
+                })
                 .response
                 .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Menu"));
-            OPEN.show(state, ui, &mut requests);
-            if state.doc.is_some() {
-                SAVE.show(state, ui, &mut requests);
-                ui.separator();
-                for button in &TOOLS {
-                    button.show(state, ui, &mut requests);
+                OPEN.show(state, ui, &mut requests);
+                if state.doc.is_some() {
+                    SAVE.show(state, ui, &mut requests);
+                    ui.separator();
+                    for button in &TOOLS {
+                        button.show(state, ui, &mut requests);
+                    }
+                    ui.separator();
+                    show_deformations(state, ui, &mut requests);
+                    ui.separator();
+                    show_undo(state, ui, &mut requests);
+                    ui.separator();
+                    for button in &RENDERERS {
+                        button.show(state, ui, &mut requests);
+                    }
                 }
-                ui.separator();
-                show_deformations(state, ui, &mut requests);
-                ui.separator();
-                show_undo(state, ui, &mut requests);
-                ui.separator();
-                for button in &RENDERERS {
-                    button.show(state, ui, &mut requests);
-                }
-            }
+            });
         });
-    });
     requests
 }
 
@@ -52,22 +60,71 @@ struct ActionButton {
     action: Action,
 }
 
-const OPEN: ActionButton = ActionButton { symbol: icon::FOLDER_OPEN, word: "Open", about: "Open a scene, volume or mesh", action: Action::Open };
-const SAVE: ActionButton = ActionButton { symbol: icon::FLOPPY_DISK, word: "Save", about: "Save the scene", action: Action::Save };
+const OPEN: ActionButton = ActionButton {
+    symbol: icon::FOLDER_OPEN,
+    word: "Open",
+    about: "Open a scene, volume or mesh",
+    action: Action::Open,
+};
+const SAVE: ActionButton = ActionButton {
+    symbol: icon::FLOPPY_DISK,
+    word: "Save",
+    about: "Save the scene",
+    action: Action::Save,
+};
 /// The tools that do not deform.
 const TOOLS: [ActionButton; 3] = [
-    ActionButton { symbol: "", word: "Orbit", about: "Orbit the camera; drag handles", action: Action::Arm(Tool::Navigate) },
-    ActionButton { symbol: "", word: "Probe", about: "Read the value at a point", action: Action::Arm(Tool::Probe) },
-    ActionButton { symbol: icon::RULER, word: "Measure", about: "Measure a distance", action: Action::Arm(Tool::Measure(MeasureKind::Distance)) },
+    ActionButton {
+        symbol: "",
+        word: "Orbit",
+        about: "Orbit the camera; drag handles",
+        action: Action::Arm(Tool::Navigate),
+    },
+    ActionButton {
+        symbol: "",
+        word: "Probe",
+        about: "Read the value at a point",
+        action: Action::Arm(Tool::Probe),
+    },
+    ActionButton {
+        symbol: icon::RULER,
+        word: "Measure",
+        about: "Measure a distance",
+        action: Action::Arm(Tool::Measure(MeasureKind::Distance)),
+    },
 ];
-const LASSO: ActionButton =
-    ActionButton { symbol: icon::LASSO, word: "Lasso", about: "Draw around the region to cut away", action: Action::Arm(Tool::LassoCut) };
+const LASSO: ActionButton = ActionButton {
+    symbol: icon::LASSO,
+    word: "Lasso",
+    about: "Draw around the region to cut away",
+    action: Action::Arm(Tool::LassoCut),
+};
 /// The renderers, and their comparison.
 const RENDERERS: [ActionButton; 4] = [
-    ActionButton { symbol: "", word: "Slice", about: "View-aligned slices", action: Action::SetMode(Mode::Slice) },
-    ActionButton { symbol: "", word: "Ray", about: "Ray casting", action: Action::SetMode(Mode::Raycast) },
-    ActionButton { symbol: "", word: "Surface", about: "Surfaces by their distance fields", action: Action::SetMode(Mode::Surface) },
-    ActionButton { symbol: icon::ARROWS_LEFT_RIGHT, word: "Compare", about: "Compare renderers", action: Action::Compare },
+    ActionButton {
+        symbol: "",
+        word: "Slice",
+        about: "View-aligned slices",
+        action: Action::SetMode(Mode::Slice),
+    },
+    ActionButton {
+        symbol: "",
+        word: "Ray",
+        about: "Ray casting",
+        action: Action::SetMode(Mode::Raycast),
+    },
+    ActionButton {
+        symbol: "",
+        word: "Surface",
+        about: "Surfaces by their distance fields",
+        action: Action::SetMode(Mode::Surface),
+    },
+    ActionButton {
+        symbol: icon::ARROWS_LEFT_RIGHT,
+        word: "Compare",
+        about: "Compare renderers",
+        action: Action::Compare,
+    },
 ];
 
 impl ActionButton {
@@ -78,7 +135,15 @@ impl ActionButton {
             Action::SetMode(mode) => state.doc.as_ref().is_some_and(|d| d.scene.render.mode == mode),
             _ => false,
         };
-        if tool_button(ui, self.symbol, self.word, selected, &state.tip(self.action, self.about)).clicked() {
+        if tool_button(
+            ui,
+            self.symbol,
+            self.word,
+            selected,
+            &state.tip(self.action, self.about),
+        )
+        .clicked()
+        {
             requests.perform(self.action);
         }
     }
@@ -86,7 +151,12 @@ impl ActionButton {
 
 /// Shows the most frequent cuts and displacements, and the menu of all kinds.
 fn show_deformations(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
-    for (kind, word) in [("half-space", "Plane"), ("box", "Box"), ("knife", "Knife"), ("wedge", "Wedge")] {
+    for (kind, word) in [
+        ("half-space", "Plane"),
+        ("box", "Box"),
+        ("knife", "Knife"),
+        ("wedge", "Wedge"),
+    ] {
         kind_button(state, ui, kind, word, requests);
     }
     LASSO.show(state, ui, requests);
@@ -94,14 +164,22 @@ fn show_deformations(state: &Workstation, ui: &mut Ui, requests: &mut Requests) 
     for (kind, word) in [("peel", "Peel"), ("pull", "Pull"), ("twist", "Twist")] {
         kind_button(state, ui, kind, word, requests);
     }
-    let more = ui.menu_button(format!("More {}", icon::CARET_DOWN), |ui| show_kinds(state, ui, requests));
-    more.response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "More deformations"));
+    let more = ui.menu_button(format!("More {}", icon::CARET_DOWN), |ui| {
+        show_kinds(state, ui, requests)
+    });
+    more.response
+        .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "More deformations"));
 }
 
 /// Shows the buttons for undo and redo, greyed out without a step to take.
 fn show_undo(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
-    let (undo, redo) = state.doc.as_ref().map_or((false, false), |d| (state.history.has_undo(&d.scene), state.history.has_redo(&d.scene)));
-    for (works, symbol, word, action) in [(undo, icon::ARROW_U_UP_LEFT, "Undo", Action::Undo), (redo, icon::ARROW_U_UP_RIGHT, "Redo", Action::Redo)] {
+    let (undo, redo) = state.doc.as_ref().map_or((false, false), |d| {
+        (state.history.has_undo(&d.scene), state.history.has_redo(&d.scene))
+    });
+    for (works, symbol, word, action) in [
+        (undo, icon::ARROW_U_UP_LEFT, "Undo", Action::Undo),
+        (redo, icon::ARROW_U_UP_RIGHT, "Redo", Action::Redo),
+    ] {
         let response = ui.add_enabled(works, egui::Button::new(symbol));
         labelled(&response, word, false);
         if response.on_hover_text(state.tip(action, word)).clicked() {
@@ -114,8 +192,16 @@ fn show_undo(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
 fn kind_button(state: &Workstation, ui: &mut Ui, kind: &str, word: &str, requests: &mut Requests) {
     let Ok(kind) = kinds::kind(kind) else { return };
     let tool = Tool::Place(Placed(kind));
-    let tip = state.tip(Action::Arm(tool), &format!("{}: {}. Click, then click the surface; or drag it there", words(kind.name), kind.about));
-    let response = tool_button(ui, symbol(kind.name), word, state.tool == tool, &tip).interact(egui::Sense::click_and_drag());
+    let tip = state.tip(
+        Action::Arm(tool),
+        &format!(
+            "{}: {}. Click, then click the surface; or drag it there",
+            words(kind.name),
+            kind.about
+        ),
+    );
+    let response = tool_button(ui, symbol(kind.name), word, state.tool == tool, &tip)
+        .interact(egui::Sense::click_and_drag());
     if response.clicked() {
         requests.perform(Action::Arm(tool));
     }
@@ -128,19 +214,23 @@ fn show_kinds(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     ui.set_max_width(560.0);
     let mut armed = None;
     egui::ScrollArea::vertical().max_height(470.0).show(ui, |ui| {
-        egui::Grid::new("kinds").num_columns(6).spacing(vec2(4.0, 4.0)).show(ui, |ui| {
-            for (n, kind) in kinds::list().enumerate() {
-                let word = words(kind.name);
-                let response = gallery_item(ui, state.thumbnails.kind(n), symbol(kind.name), &word, false);
-                response.dnd_set_drag_payload(Placed(kind));
-                if response.on_hover_text(kind.about).clicked() {
-                    armed = Some(kind);
+        egui::Grid::new("kinds")
+            .num_columns(6)
+            .spacing(vec2(4.0, 4.0))
+            .show(ui, |ui| {
+                for (n, kind) in kinds::list().enumerate() {
+                    let word = words(kind.name);
+                    let response =
+                        gallery_item(ui, state.thumbnails.kind(n), symbol(kind.name), &word, false);
+                    response.dnd_set_drag_payload(Placed(kind));
+                    if response.on_hover_text(kind.about).clicked() {
+                        armed = Some(kind);
+                    }
+                    if (n + 1).is_multiple_of(6) {
+                        ui.end_row();
+                    }
                 }
-                if (n + 1).is_multiple_of(6) {
-                    ui.end_row();
-                }
-            }
-        });
+            });
     });
     if let Some(kind) = armed {
         let tool = match kind.name {
@@ -163,16 +253,29 @@ fn show_menu(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
                 let key = entry.key.as_ref().map(action::key_text).unwrap_or_default();
                 let works = has_scene
                     || matches!(group, "Window")
-                    || matches!(entry.action, Action::Open | Action::OpenFolder | Action::OpenHead | Action::Quit);
-                if ui.add_enabled(works, egui::Button::new(&entry.label).shortcut_text(key)).clicked() {
+                    || matches!(
+                        entry.action,
+                        Action::Open | Action::OpenFolder | Action::OpenHead | Action::Quit
+                    );
+                if ui
+                    .add_enabled(works, egui::Button::new(&entry.label).shortcut_text(key))
+                    .clicked()
+                {
                     requests.perform(entry.action);
                 }
             }
             if group == "File" && !state.session.settings.recent.is_empty() {
                 ui.separator();
                 for path in state.session.settings.recent.iter().take(8) {
-                    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-                    if ui.button(name).on_hover_text(path.display().to_string()).clicked() {
+                    let name = path.file_name().map_or_else(
+                        || path.display().to_string(),
+                        |n| n.to_string_lossy().into_owned(),
+                    );
+                    if ui
+                        .button(name)
+                        .on_hover_text(path.display().to_string())
+                        .clicked()
+                    {
                         requests.0.push(Request::Open(path.clone()));
                     }
                 }

@@ -9,7 +9,9 @@ use crate::gui::state::request::{Request, Requests};
 use crate::gui::theme;
 use crate::transfer::{self, Blend, ControlPoint, TransferFunction, TransferSettings};
 use crate::volume::Volume;
-use eframe::egui::{self, Color32, DragValue, Pos2, Rect, Response, Sense, Shape, Slider, Stroke, Ui, pos2, vec2};
+use eframe::egui::{
+    self, Color32, DragValue, Pos2, Rect, Response, Sense, Shape, Slider, Stroke, Ui, pos2, vec2,
+};
 use egui_phosphor::regular as icon;
 
 const HEIGHT: f32 = 118.0;
@@ -60,7 +62,9 @@ impl PlotAxes {
 
     /// The opacity at a vertical position.
     fn opacity_of(&self, y: f32) -> f32 {
-        ((self.plot.bottom() - y) / self.plot.height()).clamp(0.0, 1.0).powi(2)
+        ((self.plot.bottom() - y) / self.plot.height())
+            .clamp(0.0, 1.0)
+            .powi(2)
     }
 }
 
@@ -75,13 +79,24 @@ struct Curve<'a> {
 impl<'a> Curve<'a> {
     /// A function plotted along axes.
     fn new(function: &'a TransferFunction, axes: PlotAxes) -> Self {
-        let place = |p: &ControlPoint| pos2(axes.x_of(p.value), axes.y_of(p.opacity)).clamp(axes.plot.min, axes.plot.max);
-        Self { function, axes, places: function.points.iter().map(place).collect() }
+        let place = |p: &ControlPoint| {
+            pos2(axes.x_of(p.value), axes.y_of(p.opacity)).clamp(axes.plot.min, axes.plot.max)
+        };
+        Self {
+            function,
+            axes,
+            places: function.points.iter().map(place).collect(),
+        }
     }
 
     /// The point at a position.
     fn point_under(&self, pos: Pos2) -> Option<usize> {
-        let near = self.places.iter().enumerate().map(|(n, p)| (n, p.distance(pos))).min_by(|a, b| a.1.total_cmp(&b.1));
+        let near = self
+            .places
+            .iter()
+            .enumerate()
+            .map(|(n, p)| (n, p.distance(pos)))
+            .min_by(|a, b| a.1.total_cmp(&b.1));
         near.filter(|(_, d)| *d < 11.0).map(|(n, _)| n)
     }
 }
@@ -125,21 +140,39 @@ impl TransferPanel {
         requests
     }
 
-    fn show_presets(&mut self, ui: &mut Ui, thumbnails: &Thumbnails, fallback: &str, settings: &mut TransferSettings) {
+    fn show_presets(
+        &mut self,
+        ui: &mut Ui,
+        thumbnails: &Thumbnails,
+        fallback: &str,
+        settings: &mut TransferSettings,
+    ) {
         let columns = ((ui.available_width() + 4.0) / 90.0).floor().max(1.0) as usize;
         let mut chosen = None;
         let now = settings.preset.clone().unwrap_or_else(|| fallback.to_owned());
-        egui::Grid::new("presets").num_columns(columns).spacing(vec2(4.0, 4.0)).show(ui, |ui| {
-            for (n, preset) in transfer::list().enumerate() {
-                let response = gallery_item(ui, thumbnails.preset(n), icon::CUBE, preset.name, preset.name == now);
-                if response.on_hover_text(format!("{}: {}", preset.name, preset.about)).clicked() {
-                    chosen = Some(preset.name);
+        egui::Grid::new("presets")
+            .num_columns(columns)
+            .spacing(vec2(4.0, 4.0))
+            .show(ui, |ui| {
+                for (n, preset) in transfer::list().enumerate() {
+                    let response = gallery_item(
+                        ui,
+                        thumbnails.preset(n),
+                        icon::CUBE,
+                        preset.name,
+                        preset.name == now,
+                    );
+                    if response
+                        .on_hover_text(format!("{}: {}", preset.name, preset.about))
+                        .clicked()
+                    {
+                        chosen = Some(preset.name);
+                    }
+                    if (n + 1).is_multiple_of(columns) {
+                        ui.end_row();
+                    }
                 }
-                if (n + 1).is_multiple_of(columns) {
-                    ui.end_row();
-                }
-            }
-        });
+            });
         if let Some(name) = chosen {
             self.choose(settings, name);
         }
@@ -147,12 +180,26 @@ impl TransferPanel {
 }
 
 /// The curve over the histogram, with points to drag; returns the range of values it spans.
-fn show_curve(ui: &mut Ui, panel: &mut TransferPanel, volume: &Volume, function: &TransferFunction, settings: &mut TransferSettings) -> f64 {
+fn show_curve(
+    ui: &mut Ui,
+    panel: &mut TransferPanel,
+    volume: &Volume,
+    function: &TransferFunction,
+    settings: &mut TransferSettings,
+) -> f64 {
     let heights = panel.heights(volume);
-    let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width().max(48.0), HEIGHT), Sense::click_and_drag());
-    response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Transfer function curve"));
+    let (rect, response) = ui.allocate_exact_size(
+        vec2(ui.available_width().max(48.0), HEIGHT),
+        Sense::click_and_drag(),
+    );
+    response
+        .widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, "Transfer function curve"));
     let [low, high] = volume.range;
-    let axes = PlotAxes { plot: rect.shrink2(vec2(6.0, 6.0)), low, span: (high - low).max(1e-9) };
+    let axes = PlotAxes {
+        plot: rect.shrink2(vec2(6.0, 6.0)),
+        low,
+        span: (high - low).max(1e-9),
+    };
     let curve = Curve::new(function, axes);
     draw_plot(ui, rect, heights, &curve);
     drag_point(ui, &response, &curve, panel, settings);
@@ -160,7 +207,9 @@ fn show_curve(ui: &mut Ui, panel: &mut TransferPanel, volume: &Volume, function:
     draw_points(ui, &curve, panel.point);
     if let Some(pos) = response.hover_pos() {
         let value = axes.value_of(pos.x);
-        response.on_hover_text_at_pointer(format!("{value:.1}\nDrag points; double-click to add, right-click to remove"));
+        response.on_hover_text_at_pointer(format!(
+            "{value:.1}\nDrag points; double-click to add, right-click to remove"
+        ));
     }
     axes.span
 }
@@ -171,7 +220,13 @@ fn pointer_on(response: &Response) -> Option<Pos2> {
 }
 
 /// Moves the dragged point.
-fn drag_point(ui: &Ui, response: &Response, curve: &Curve, panel: &mut TransferPanel, settings: &mut TransferSettings) {
+fn drag_point(
+    ui: &Ui,
+    response: &Response,
+    curve: &Curve,
+    panel: &mut TransferPanel,
+    settings: &mut TransferSettings,
+) {
     if response.drag_started()
         && let Some(origin) = ui.input(|i| i.pointer.press_origin())
     {
@@ -180,7 +235,10 @@ fn drag_point(ui: &Ui, response: &Response, curve: &Curve, panel: &mut TransferP
     }
     if panel.dragging
         && response.dragged()
-        && let (Some(n), Some(pos)) = (panel.point.filter(|n| *n < curve.function.points.len()), pointer_on(response))
+        && let (Some(n), Some(pos)) = (
+            panel.point.filter(|n| *n < curve.function.points.len()),
+            pointer_on(response),
+        )
     {
         let mut next = explicit(curve.function, settings);
         let [before, after] = limits(&next.points, n);
@@ -201,7 +259,12 @@ fn limits(points: &[ControlPoint], n: usize) -> [f64; 2] {
 }
 
 /// Selects the clicked point; adds one on a double-click, removes one on a right-click.
-fn click_point(response: &Response, curve: &Curve, panel: &mut TransferPanel, settings: &mut TransferSettings) {
+fn click_point(
+    response: &Response,
+    curve: &Curve,
+    panel: &mut TransferPanel,
+    settings: &mut TransferSettings,
+) {
     let pointer = pointer_on(response);
     if response.clicked()
         && let Some(pos) = pointer
@@ -214,8 +277,19 @@ fn click_point(response: &Response, curve: &Curve, panel: &mut TransferPanel, se
         let mut next = explicit(curve.function, settings);
         let value = curve.axes.value_of(pos.x);
         let at = next.points.partition_point(|p| p.value <= value);
-        let color = next.points.get(at).or(next.points.last()).map_or([1.0; 3], |p| p.color);
-        next.points.insert(at, ControlPoint { value, color, opacity: curve.axes.opacity_of(pos.y) });
+        let color = next
+            .points
+            .get(at)
+            .or(next.points.last())
+            .map_or([1.0; 3], |p| p.color);
+        next.points.insert(
+            at,
+            ControlPoint {
+                value,
+                color,
+                opacity: curve.axes.opacity_of(pos.y),
+            },
+        );
         panel.point = Some(at);
         *settings = next;
     }
@@ -239,47 +313,99 @@ fn draw_points(ui: &Ui, curve: &Curve, selected: Option<usize>) {
             *at,
             if selected { 6.5 } else { 5.0 },
             Color32::from_rgb(r, g, b),
-            Stroke::new(1.8, if selected { theme::SELECTED } else { Color32::from_gray(20) }),
+            Stroke::new(
+                1.8,
+                if selected {
+                    theme::SELECTED
+                } else {
+                    Color32::from_gray(20)
+                },
+            ),
         );
         if !selected {
-            ui.painter().circle_stroke(*at, 6.0, Stroke::new(1.0, Color32::from_gray(190)));
+            ui.painter()
+                .circle_stroke(*at, 6.0, Stroke::new(1.0, Color32::from_gray(190)));
         }
     }
 }
 
 /// The selected point, as numbers.
-fn show_selected_point(ui: &mut Ui, selected: Option<usize>, function: &TransferFunction, span: f64, settings: &mut TransferSettings) {
-    let Some(n) = selected.filter(|n| *n < function.points.len()) else { return };
+fn show_selected_point(
+    ui: &mut Ui,
+    selected: Option<usize>,
+    function: &TransferFunction,
+    span: f64,
+    settings: &mut TransferSettings,
+) {
+    let Some(n) = selected.filter(|n| *n < function.points.len()) else {
+        return;
+    };
     ui.horizontal(|ui| {
         let mut p = function.points[n];
         let mut changed = ui.color_edit_button_rgb(&mut p.color).changed();
-        changed |= ui.add(DragValue::new(&mut p.value).speed(span / 500.0).max_decimals(2).prefix("at ")).changed();
+        changed |= ui
+            .add(
+                DragValue::new(&mut p.value)
+                    .speed(span / 500.0)
+                    .max_decimals(2)
+                    .prefix("at "),
+            )
+            .changed();
         let mut percent = 100.0 * p.opacity;
         changed |= ui
-            .add(DragValue::new(&mut percent).range(0.0..=100.0).speed(0.5).suffix(" %").max_decimals(1))
+            .add(
+                DragValue::new(&mut percent)
+                    .range(0.0..=100.0)
+                    .speed(0.5)
+                    .suffix(" %")
+                    .max_decimals(1),
+            )
             .on_hover_text("Opacity of one voxel")
             .changed();
         if changed {
             let mut next = explicit(function, settings);
             let [before, after] = limits(&next.points, n);
-            next.points[n] = ControlPoint { value: p.value.clamp(before, after), opacity: percent / 100.0, ..p };
+            next.points[n] = ControlPoint {
+                value: p.value.clamp(before, after),
+                opacity: percent / 100.0,
+                ..p
+            };
             *settings = next;
         }
     });
 }
 
 /// Window and level, as numbers.
-fn show_window_and_level(ui: &mut Ui, function: &TransferFunction, span: f64, settings: &mut TransferSettings) {
+fn show_window_and_level(
+    ui: &mut Ui,
+    function: &TransferFunction,
+    span: f64,
+    settings: &mut TransferSettings,
+) {
     ui.horizontal(|ui| {
         let [a, b] = function.domain();
-        let (mut width, mut level) = (settings.window.unwrap_or(b - a), settings.level.unwrap_or(0.5 * (a + b)));
+        let (mut width, mut level) = (
+            settings.window.unwrap_or(b - a),
+            settings.level.unwrap_or(0.5 * (a + b)),
+        );
         let speed = span / 500.0;
         ui.label("Window");
-        if ui.add(DragValue::new(&mut width).speed(speed).range(span * 1e-4..=span * 20.0).max_decimals(1)).changed() {
+        if ui
+            .add(
+                DragValue::new(&mut width)
+                    .speed(speed)
+                    .range(span * 1e-4..=span * 20.0)
+                    .max_decimals(1),
+            )
+            .changed()
+        {
             settings.window = Some(width);
         }
         ui.label("Level");
-        if ui.add(DragValue::new(&mut level).speed(speed).max_decimals(1)).changed() {
+        if ui
+            .add(DragValue::new(&mut level).speed(speed).max_decimals(1))
+            .changed()
+        {
             settings.level = Some(level);
         }
     });
@@ -291,7 +417,13 @@ fn show_density(ui: &mut Ui, settings: &mut TransferSettings) {
         ui.spacing_mut().slider_width = (ui.available_width() - 130.0).max(50.0);
         let mut density = settings.density.unwrap_or(1.0);
         if ui
-            .add(Slider::new(&mut density, 0.02..=20.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("density").max_decimals(2))
+            .add(
+                Slider::new(&mut density, 0.02..=20.0)
+                    .clamping(egui::SliderClamping::Edits)
+                    .logarithmic(true)
+                    .text("density")
+                    .max_decimals(2),
+            )
             .changed()
         {
             settings.density = Some(density);
@@ -303,7 +435,12 @@ fn show_density(ui: &mut Ui, settings: &mut TransferSettings) {
 fn show_blend(ui: &mut Ui, now: Blend, settings: &mut TransferSettings) {
     ui.horizontal(|ui| {
         ui.label("Blend");
-        for (blend, word) in [(Blend::Composite, "composite"), (Blend::Mip, "MIP"), (Blend::Minip, "MinIP"), (Blend::Average, "average")] {
+        for (blend, word) in [
+            (Blend::Composite, "composite"),
+            (Blend::Mip, "MIP"),
+            (Blend::Minip, "MinIP"),
+            (Blend::Average, "average"),
+        ] {
             if ui.selectable_label(now == blend, word).clicked() {
                 settings.blend = Some(blend);
             }
@@ -315,14 +452,19 @@ fn show_blend(ui: &mut Ui, now: Blend, settings: &mut TransferSettings) {
 fn show_file_buttons(ui: &mut Ui, settings: &mut TransferSettings) -> Option<Action> {
     let mut act = None;
     ui.horizontal(|ui| {
-        for (symbol, word, action) in
-            [(icon::DOWNLOAD_SIMPLE, "Import", Action::ImportTransfer), (icon::FLOPPY_DISK, "Export", Action::ExportTransfer)]
-        {
+        for (symbol, word, action) in [
+            (icon::DOWNLOAD_SIMPLE, "Import", Action::ImportTransfer),
+            (icon::FLOPPY_DISK, "Export", Action::ExportTransfer),
+        ] {
             if super::tool_button(ui, symbol, word, false, "As a file").clicked() {
                 act = Some(action);
             }
         }
-        if ui.button("Reset").on_hover_text("Use the default preset for this volume").clicked() {
+        if ui
+            .button("Reset")
+            .on_hover_text("Use the default preset for this volume")
+            .clicked()
+        {
             *settings = TransferSettings::default();
         }
     });
@@ -337,7 +479,10 @@ fn draw_plot(ui: &Ui, rect: Rect, heights: &[f32], curve: &Curve) {
     let width = plot.width() / heights.len() as f32;
     for (n, h) in heights.iter().enumerate() {
         let x = plot.left() + n as f32 * width;
-        let bar = Rect::from_min_max(pos2(x, plot.bottom() - h * plot.height()), pos2(x + width.max(1.0), plot.bottom()));
+        let bar = Rect::from_min_max(
+            pos2(x, plot.bottom() - h * plot.height()),
+            pos2(x + width.max(1.0), plot.bottom()),
+        );
         painter.rect_filled(bar, 0.0, Color32::from_gray(58));
     }
     let p = &curve.function.points;
@@ -357,8 +502,17 @@ fn draw_plot(ui: &Ui, rect: Rect, heights: &[f32], curve: &Curve) {
                 let t2 = (n + 1) as f32 / PIECES as f32;
                 let mix = |t: f32| {
                     let value = pair[0].value + (pair[1].value - pair[0].value) * f64::from(t);
-                    let c: [f32; 3] = std::array::from_fn(|k| pair[0].color[k] + (pair[1].color[k] - pair[0].color[k]) * t);
-                    (pos2(curve.axes.x_of(value), curve.axes.y_of(pair[0].opacity + (pair[1].opacity - pair[0].opacity) * t)), c)
+                    let c: [f32; 3] =
+                        std::array::from_fn(|k| pair[0].color[k] + (pair[1].color[k] - pair[0].color[k]) * t);
+                    (
+                        pos2(
+                            curve.axes.x_of(value),
+                            curve
+                                .axes
+                                .y_of(pair[0].opacity + (pair[1].opacity - pair[0].opacity) * t),
+                        ),
+                        c,
+                    )
                 };
                 let ((a, ca), (b, cb)) = (mix(t), mix(t2));
                 let mut mesh = egui::Mesh::default();
@@ -388,7 +542,12 @@ mod tests {
     fn editing_begins_where_the_preset_was() {
         let volume = phantom::from_spec("head-ct:size=24").unwrap();
         for preset in transfer::list() {
-            let settings = TransferSettings { preset: Some(preset.name.into()), window: Some(300.0), level: Some(100.0), ..Default::default() };
+            let settings = TransferSettings {
+                preset: Some(preset.name.into()),
+                window: Some(300.0),
+                level: Some(100.0),
+                ..Default::default()
+            };
             let function = settings.resolve(&volume, "grey").unwrap();
             let again = explicit(&function, &settings).resolve(&volume, "grey").unwrap();
             assert_eq!(function, again, "{}", preset.name);

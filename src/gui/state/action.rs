@@ -93,7 +93,12 @@ struct ActionList(Vec<ActionEntry>);
 impl ActionList {
     /// Appends an action.
     fn add(&mut self, group: &'static str, action: Action, label: &str, key: Option<(Modifiers, Key)>) {
-        self.0.push(ActionEntry { action, label: label.into(), group, key: key.map(|(m, k)| KeyboardShortcut::new(m, k)) });
+        self.0.push(ActionEntry {
+            action,
+            label: label.into(),
+            group,
+            key: key.map(|(m, k)| KeyboardShortcut::new(m, k)),
+        });
     }
 }
 
@@ -115,7 +120,12 @@ pub fn list() -> Vec<ActionEntry> {
 /// Opening, saving and closing.
 fn add_file_actions(all: &mut ActionList) {
     all.add("File", Action::Open, "Open…", Some((CTRL, Key::O)));
-    all.add("File", Action::OpenFolder, "Open folder (DICOM)…", Some((CTRL_SHIFT, Key::O)));
+    all.add(
+        "File",
+        Action::OpenFolder,
+        "Open folder (DICOM)…",
+        Some((CTRL_SHIFT, Key::O)),
+    );
     all.add("File", Action::OpenHead, "Open the bundled head", None);
     all.add("File", Action::Save, "Save", Some((CTRL, Key::S)));
     all.add("File", Action::SaveAs, "Save as…", Some((CTRL_SHIFT, Key::S)));
@@ -125,15 +135,40 @@ fn add_file_actions(all: &mut ActionList) {
 
 /// Import and export of files other than scenes.
 fn add_export_actions(all: &mut ActionList) {
-    all.add("Export", Action::ExportPicture, "Export picture…", Some((CTRL, Key::E)));
+    all.add(
+        "Export",
+        Action::ExportPicture,
+        "Export picture…",
+        Some((CTRL, Key::E)),
+    );
     all.add("Export", Action::ExportClip, "Export clip…", None);
     all.add("Export", Action::ExportVolume, "Bake the deformed volume…", None);
-    all.add("Export", Action::ExportField, "Bake the displacement field…", None);
+    all.add(
+        "Export",
+        Action::ExportField,
+        "Bake the displacement field…",
+        None,
+    );
     all.add("Export", Action::ExportReport, "Export comparison report…", None);
     all.add("Export", Action::ExportMeasures, "Export measurements…", None);
-    all.add("Export", Action::CopyCommand, "Copy as incise render …", Some((Modifiers::ALT, Key::C)));
-    all.add("Export", Action::ImportTransfer, "Import transfer function…", None);
-    all.add("Export", Action::ExportTransfer, "Export transfer function…", None);
+    all.add(
+        "Export",
+        Action::CopyCommand,
+        "Copy as incise render …",
+        Some((Modifiers::ALT, Key::C)),
+    );
+    all.add(
+        "Export",
+        Action::ImportTransfer,
+        "Import transfer function…",
+        None,
+    );
+    all.add(
+        "Export",
+        Action::ExportTransfer,
+        "Export transfer function…",
+        None,
+    );
 }
 
 /// Changes to the selection and the stack.
@@ -144,11 +179,36 @@ fn add_edit_actions(all: &mut ActionList) {
     all.add("Edit", Action::Duplicate, "Duplicate", Some((CTRL, Key::D)));
     all.add("Edit", Action::Mute, "Mute", Some((NONE, Key::H)));
     all.add("Edit", Action::Solo, "Solo", Some((SHIFT, Key::H)));
-    all.add("Edit", Action::MoveUp, "Move up in the stack", Some((CTRL, Key::ArrowUp)));
-    all.add("Edit", Action::MoveDown, "Move down in the stack", Some((CTRL, Key::ArrowDown)));
-    all.add("Edit", Action::Less, "Decrease progress", Some((NONE, Key::OpenBracket)));
-    all.add("Edit", Action::More, "Increase progress", Some((NONE, Key::CloseBracket)));
-    all.add("Edit", Action::SelectNext, "Select the next deformation", Some((NONE, Key::N)));
+    all.add(
+        "Edit",
+        Action::MoveUp,
+        "Move up in the stack",
+        Some((CTRL, Key::ArrowUp)),
+    );
+    all.add(
+        "Edit",
+        Action::MoveDown,
+        "Move down in the stack",
+        Some((CTRL, Key::ArrowDown)),
+    );
+    all.add(
+        "Edit",
+        Action::Less,
+        "Decrease progress",
+        Some((NONE, Key::OpenBracket)),
+    );
+    all.add(
+        "Edit",
+        Action::More,
+        "Increase progress",
+        Some((NONE, Key::CloseBracket)),
+    );
+    all.add(
+        "Edit",
+        Action::SelectNext,
+        "Select the next deformation",
+        Some((NONE, Key::N)),
+    );
     all.add("Edit", Action::Deselect, "Deselect", Some((NONE, Key::Escape)));
 }
 
@@ -164,18 +224,58 @@ fn add_view_actions(all: &mut ActionList) {
     ] {
         all.add("View", Action::View(name), label, key);
     }
-    all.add("View", Action::Opposite, "View from the opposite side", Some((NONE, Key::Num9)));
+    all.add(
+        "View",
+        Action::Opposite,
+        "View from the opposite side",
+        Some((NONE, Key::Num9)),
+    );
     all.add("View", Action::ResetCamera, "Reset camera", Some((NONE, Key::R)));
-    all.add("View", Action::FrameSelection, "Frame selection", Some((NONE, Key::F)));
-    all.add("View", Action::CameraBack, "Camera back", Some((Modifiers::ALT, Key::ArrowLeft)));
-    all.add("View", Action::CameraForward, "Camera forward", Some((Modifiers::ALT, Key::ArrowRight)));
-    all.add("View", Action::ToggleProjection, "Toggle perspective/orthographic", Some((NONE, Key::Num5)));
+    all.add(
+        "View",
+        Action::FrameSelection,
+        "Frame selection",
+        Some((NONE, Key::F)),
+    );
+    all.add(
+        "View",
+        Action::CameraBack,
+        "Camera back",
+        Some((Modifiers::ALT, Key::ArrowLeft)),
+    );
+    all.add(
+        "View",
+        Action::CameraForward,
+        "Camera forward",
+        Some((Modifiers::ALT, Key::ArrowRight)),
+    );
+    all.add(
+        "View",
+        Action::ToggleProjection,
+        "Toggle perspective/orthographic",
+        Some((NONE, Key::Num5)),
+    );
     all.add("View", Action::NextMode, "Next render mode", Some((NONE, Key::V)));
     all.add("View", Action::SetMode(Mode::Slice), "Render with slices", None);
-    all.add("View", Action::SetMode(Mode::Raycast), "Render with ray casting", None);
+    all.add(
+        "View",
+        Action::SetMode(Mode::Raycast),
+        "Render with ray casting",
+        None,
+    );
     all.add("View", Action::SetMode(Mode::Surface), "Render surfaces", None);
-    all.add("View", Action::Compare, "Compare renderers", Some((SHIFT, Key::V)));
-    all.add("View", Action::BeforeAfter, "Toggle before/after deformation", Some((NONE, Key::Tab)));
+    all.add(
+        "View",
+        Action::Compare,
+        "Compare renderers",
+        Some((SHIFT, Key::V)),
+    );
+    all.add(
+        "View",
+        Action::BeforeAfter,
+        "Toggle before/after deformation",
+        Some((NONE, Key::Tab)),
+    );
 }
 
 /// Layout, theme, help and the application itself.
@@ -185,12 +285,32 @@ fn add_window_actions(all: &mut ActionList) {
     all.add("Window", Action::Layout(Layout::FourUp), "Layout: four-up", None);
     all.add("Window", Action::Layout(Layout::Compare), "Layout: compare", None);
     all.add("Window", Action::ToggleTheme, "Toggle light/dark theme", None);
-    all.add("Window", Action::ScaleUp, "Larger interface", Some((CTRL, Key::Plus)));
-    all.add("Window", Action::ScaleDown, "Smaller interface", Some((CTRL, Key::Minus)));
+    all.add(
+        "Window",
+        Action::ScaleUp,
+        "Larger interface",
+        Some((CTRL, Key::Plus)),
+    );
+    all.add(
+        "Window",
+        Action::ScaleDown,
+        "Smaller interface",
+        Some((CTRL, Key::Minus)),
+    );
     all.add("Window", Action::Palette, "Command palette", Some((CTRL, Key::K)));
-    all.add("Window", Action::Keys, "Keyboard shortcuts…", Some((NONE, Key::F1)));
+    all.add(
+        "Window",
+        Action::Keys,
+        "Keyboard shortcuts…",
+        Some((NONE, Key::F1)),
+    );
     all.add("Window", Action::Log, "Show log", None);
-    all.add("Window", Action::Navigation, "Toggle 3D Slicer/Blender navigation", None);
+    all.add(
+        "Window",
+        Action::Navigation,
+        "Toggle 3D Slicer/Blender navigation",
+        None,
+    );
     all.add("Window", Action::ResetGpu, "Reconnect to the GPU", None);
     all.add("Window", Action::CancelTasks, "Cancel all background tasks", None);
 }
@@ -199,11 +319,36 @@ fn add_window_actions(all: &mut ActionList) {
 fn add_tool_actions(all: &mut ActionList) {
     all.add("Tool", Action::Arm(Tool::Navigate), "Orbit", Some((NONE, Key::O)));
     all.add("Tool", Action::Arm(Tool::Probe), "Probe", Some((NONE, Key::I)));
-    all.add("Tool", Action::Arm(Tool::Measure(MeasureKind::Distance)), "Measure a distance", Some((NONE, Key::M)));
-    all.add("Tool", Action::Arm(Tool::Measure(MeasureKind::Angle)), "Measure an angle", Some((SHIFT, Key::M)));
-    all.add("Tool", Action::Arm(Tool::LassoCut), "Lasso cut", Some((NONE, Key::L)));
-    all.add("Tool", Action::Arm(Tool::LassoRestore), "Lasso restore", Some((SHIFT, Key::L)));
-    all.add("Tool", Action::Arm(Tool::BrushPush), "Brush: push", Some((NONE, Key::G)));
+    all.add(
+        "Tool",
+        Action::Arm(Tool::Measure(MeasureKind::Distance)),
+        "Measure a distance",
+        Some((NONE, Key::M)),
+    );
+    all.add(
+        "Tool",
+        Action::Arm(Tool::Measure(MeasureKind::Angle)),
+        "Measure an angle",
+        Some((SHIFT, Key::M)),
+    );
+    all.add(
+        "Tool",
+        Action::Arm(Tool::LassoCut),
+        "Lasso cut",
+        Some((NONE, Key::L)),
+    );
+    all.add(
+        "Tool",
+        Action::Arm(Tool::LassoRestore),
+        "Lasso restore",
+        Some((SHIFT, Key::L)),
+    );
+    all.add(
+        "Tool",
+        Action::Arm(Tool::BrushPush),
+        "Brush: push",
+        Some((NONE, Key::G)),
+    );
     all.add("Tool", Action::Arm(Tool::BrushSmooth), "Brush: smooth", None);
     all.add("Tool", Action::Arm(Tool::BrushCut), "Brush: cut", None);
     all.add("Tool", Action::Arm(Tool::BrushRestore), "Brush: restore", None);
@@ -222,13 +367,34 @@ fn add_deform_actions(all: &mut ActionList) {
         ("explode", Key::X),
     ] {
         if let Ok(found) = kinds::kind(kind) {
-            all.add("Deform", Action::Arm(Tool::Place(Placed(found))), &format!("Place {}", super::tool::words(kind)), Some((NONE, key)));
+            all.add(
+                "Deform",
+                Action::Arm(Tool::Place(Placed(found))),
+                &format!("Place {}", super::tool::words(kind)),
+                Some((NONE, key)),
+            );
         }
     }
     for kind in kinds::list() {
-        let known = ["peel", "knife", "wedge", "box", "half-space", "pull", "twist", "explode", "lasso", "brush"];
+        let known = [
+            "peel",
+            "knife",
+            "wedge",
+            "box",
+            "half-space",
+            "pull",
+            "twist",
+            "explode",
+            "lasso",
+            "brush",
+        ];
         if !known.contains(&kind.name) {
-            all.add("Deform", Action::Arm(Tool::Place(Placed(kind))), &format!("Place {}", super::tool::words(kind.name)), None);
+            all.add(
+                "Deform",
+                Action::Arm(Tool::Place(Placed(kind))),
+                &format!("Place {}", super::tool::words(kind.name)),
+                None,
+            );
         }
     }
 }
@@ -237,14 +403,24 @@ fn add_deform_actions(all: &mut ActionList) {
 fn add_map_actions(all: &mut ActionList) {
     all.add("Map", Action::NewMap, "New painted map", None);
     all.add("Map", Action::StackToMap, "Combine the stack into one map", None);
-    all.add("Map", Action::SaveMap, "Save the selected deformation to the library", None);
+    all.add(
+        "Map",
+        Action::SaveMap,
+        "Save the selected deformation to the library",
+        None,
+    );
     all.add("Map", Action::CheckField, "Check the field for folds", None);
 }
 
 /// Presets of the transfer function.
 fn add_transfer_actions(all: &mut ActionList) {
     for preset in transfer::list() {
-        all.add("Transfer", Action::Preset(preset.name), &format!("Transfer function: {}", preset.name), None);
+        all.add(
+            "Transfer",
+            Action::Preset(preset.name),
+            &format!("Transfer function: {}", preset.name),
+            None,
+        );
     }
     all.add("Transfer", Action::ResetWindow, "Reset window and level", None);
 }
@@ -253,7 +429,11 @@ fn add_transfer_actions(all: &mut ActionList) {
 pub fn key_text(key: &KeyboardShortcut) -> String {
     let mut text = String::new();
     let m = key.modifiers;
-    for (on, word) in [(m.command || m.ctrl, "Ctrl+"), (m.alt, "Alt+"), (m.shift, "Shift+")] {
+    for (on, word) in [
+        (m.command || m.ctrl, "Ctrl+"),
+        (m.alt, "Alt+"),
+        (m.shift, "Shift+"),
+    ] {
         if on {
             text.push_str(word);
         }
@@ -311,9 +491,15 @@ pub const FORMER_LABELS: [(&str, &str); 13] = [
     ("Light or dark theme", "Toggle light/dark theme"),
     ("Keyboard…", "Keyboard shortcuts…"),
     ("Messages", "Show log"),
-    ("Navigate as in 3D Slicer or as in Blender", "Toggle 3D Slicer/Blender navigation"),
+    (
+        "Navigate as in 3D Slicer or as in Blender",
+        "Toggle 3D Slicer/Blender navigation",
+    ),
     ("Open the GPU anew", "Reconnect to the GPU"),
-    ("Cancel everything that runs in the background", "Cancel all background tasks"),
+    (
+        "Cancel everything that runs in the background",
+        "Cancel all background tasks",
+    ),
     ("Make one map of the stack", "Combine the stack into one map"),
 ];
 
@@ -325,10 +511,23 @@ mod tests {
     fn every_key_is_used_once_and_survives_its_text() {
         let all = list();
         for (n, entry) in all.iter().enumerate() {
-            assert!(!all[..n].iter().any(|e| e.label == entry.label), "{} is there twice", entry.label);
+            assert!(
+                !all[..n].iter().any(|e| e.label == entry.label),
+                "{} is there twice",
+                entry.label
+            );
             let Some(key) = &entry.key else { continue };
-            assert_eq!(key_from_text(&key_text(key)).as_ref(), Some(key), "{}", key_text(key));
-            assert!(!all[..n].iter().any(|e| e.key == entry.key), "{} has a key that another one has", entry.label);
+            assert_eq!(
+                key_from_text(&key_text(key)).as_ref(),
+                Some(key),
+                "{}",
+                key_text(key)
+            );
+            assert!(
+                !all[..n].iter().any(|e| e.key == entry.key),
+                "{} has a key that another one has",
+                entry.label
+            );
         }
         assert!(all.len() > 90);
     }

@@ -102,7 +102,16 @@ pub struct ComparePanel {
 impl Default for ComparePanel {
     fn default() -> Self {
         Self {
-            sides: [ComparisonSide { mode: Mode::Slice, step: 1.0 }, ComparisonSide { mode: Mode::Raycast, step: 1.0 }],
+            sides: [
+                ComparisonSide {
+                    mode: Mode::Slice,
+                    step: 1.0,
+                },
+                ComparisonSide {
+                    mode: Mode::Raycast,
+                    step: 1.0,
+                },
+            ],
             arrangement: Arrangement::Split,
             swipe: 0.5,
             results: Default::default(),
@@ -127,7 +136,12 @@ impl Default for ComparePanel {
 impl ComparePanel {
     /// Discards all results, so that they are requested again.
     pub fn forget(&mut self) {
-        *self = Self { sides: self.sides, arrangement: self.arrangement, swipe: self.swipe, ..Self::default() };
+        *self = Self {
+            sides: self.sides,
+            arrangement: self.arrangement,
+            swipe: self.swipe,
+            ..Self::default()
+        };
     }
 
     /// Handles a side that could not be rendered.

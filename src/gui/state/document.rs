@@ -48,12 +48,18 @@ pub struct Document {
 impl Document {
     /// A deformation's name in the tree.
     pub fn title_of(d: &Deformation) -> String {
-        d.name.clone().filter(|n| !n.is_empty()).unwrap_or_else(|| words(&d.kind))
+        d.name
+            .clone()
+            .filter(|n| !n.is_empty())
+            .unwrap_or_else(|| words(&d.kind))
     }
 
-    /// Resamples the volume's slices onto a regular grid; earlier measurements may then refer to other anatomy.
+    /// Resamples the volume's slices onto a regular grid; earlier measurements may then refer to
+    /// other anatomy.
     pub fn resample(&mut self) {
-        let Some(volume) = &mut self.scene.volume else { return };
+        let Some(volume) = &mut self.scene.volume else {
+            return;
+        };
         volume.choice.resample = true;
         for measure in &mut self.scene.measure {
             // A measurement without points is recomputed from the voxels.
@@ -64,12 +70,23 @@ impl Document {
     /// A document for a scene that was just loaded.
     pub fn new(scene: Scene, path: Option<PathBuf>, name: String, assets: Arc<Assets>) -> Self {
         let loaded = AssetKey::of(&scene);
-        Self { saved: Some(scene.clone()), scene, path, name, assets, loaded, selected: Selection::Nothing, solo: None }
+        Self {
+            saved: Some(scene.clone()),
+            scene,
+            path,
+            name,
+            assets,
+            loaded,
+            selected: Selection::Nothing,
+            solo: None,
+        }
     }
 
     /// Whether there are unsaved edits. Turning the camera does not count.
     pub fn is_changed(&self) -> bool {
-        self.saved.as_ref().is_none_or(|saved| !super::history::same(saved, &self.scene))
+        self.saved
+            .as_ref()
+            .is_none_or(|saved| !super::history::same(saved, &self.scene))
     }
 
     /// The scene's box, mm.
@@ -130,7 +147,10 @@ impl Document {
                 };
             }
             // The last of the volume and the meshes cannot be removed.
-            Selection::Mesh(n) if n < self.scene.mesh.len() && (self.scene.mesh.len() > 1 || self.scene.volume.is_some()) => {
+            Selection::Mesh(n)
+                if n < self.scene.mesh.len()
+                    && (self.scene.mesh.len() > 1 || self.scene.volume.is_some()) =>
+            {
                 self.scene.mesh.remove(n);
                 self.selected = Selection::Nothing;
             }
@@ -149,7 +169,9 @@ impl Document {
 
     /// Inserts a copy of the selected deformation after it.
     pub fn duplicate(&mut self) -> bool {
-        let Some(n) = self.deformation_index() else { return false };
+        let Some(n) = self.deformation_index() else {
+            return false;
+        };
         let mut copy = self.scene.deformation[n].clone();
         copy.name = copy.name.map(|name| format!("{name} copy"));
         self.scene.deformation.insert(n + 1, copy);
@@ -188,7 +210,10 @@ impl Document {
     /// map, else a new one at the end.
     pub fn painted(&mut self) -> usize {
         let last = self.scene.deformation.len();
-        if let Some(n) = last.checked_sub(1).filter(|n| self.scene.deformation[*n].kind == "brush" && self.scene.deformation[*n].enabled) {
+        if let Some(n) = last
+            .checked_sub(1)
+            .filter(|n| self.scene.deformation[*n].kind == "brush" && self.scene.deformation[*n].enabled)
+        {
             self.selected = Selection::Deformation(n);
             return n;
         }
@@ -210,7 +235,11 @@ impl Document {
     /// The strokes of a painted map.
     pub fn strokes(&self, n: usize) -> Vec<String> {
         let of = |p: &Arguments| p.texts("strokes").ok().flatten().unwrap_or_default();
-        self.scene.deformation.get(n).map(|d| of(&d.parameters)).unwrap_or_default()
+        self.scene
+            .deformation
+            .get(n)
+            .map(|d| of(&d.parameters))
+            .unwrap_or_default()
     }
 
     /// Adds a stroke to the painted map at the end of the stack.
@@ -238,9 +267,21 @@ mod tests {
         for kind in ["twist", "peel", "box"] {
             d.add(Deformation::new(kind));
         }
-        let kinds = |d: &Document| d.scene.deformation.iter().map(|x| x.kind.clone()).collect::<Vec<_>>();
+        let kinds = |d: &Document| {
+            d.scene
+                .deformation
+                .iter()
+                .map(|x| x.kind.clone())
+                .collect::<Vec<_>>()
+        };
         assert!(d.reorder(2, 0) && !d.reorder(0, 3) && !d.reorder(1, 1));
-        assert_eq!((kinds(&d), d.selected), (vec!["box".into(), "twist".into(), "peel".into()], Selection::Deformation(0)));
+        assert_eq!(
+            (kinds(&d), d.selected),
+            (
+                vec!["box".into(), "twist".into(), "peel".into()],
+                Selection::Deformation(0)
+            )
+        );
         assert!(d.duplicate());
         assert_eq!(kinds(&d).len(), 4);
         d.solo = Some(1);

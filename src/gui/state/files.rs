@@ -155,7 +155,11 @@ pub struct Files {
 impl Files {
     /// No open dialog.
     pub fn new() -> Self {
-        Self { dialog: FileDialog::new(), purpose: None, folder: None }
+        Self {
+            dialog: FileDialog::new(),
+            purpose: None,
+            folder: None,
+        }
     }
 
     /// Whether the dialog is open.
@@ -164,9 +168,19 @@ impl Files {
     }
 
     /// Opens the dialog.
-    pub(in crate::gui) fn open_dialog(&mut self, purpose: FilePurpose, title: &str, name: Option<&str>, filters: &[(&str, &'static [&'static str])]) {
-        let mut dialog =
-            FileDialog::new().title(title).default_size([760.0, 460.0]).as_modal(true).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).movable(false);
+    pub(in crate::gui) fn open_dialog(
+        &mut self,
+        purpose: FilePurpose,
+        title: &str,
+        name: Option<&str>,
+        filters: &[(&str, &'static [&'static str])],
+    ) {
+        let mut dialog = FileDialog::new()
+            .title(title)
+            .default_size([760.0, 460.0])
+            .as_modal(true)
+            .anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0])
+            .movable(false);
         if let Some(folder) = &self.folder {
             dialog = dialog.initial_directory(folder.clone());
         }
@@ -178,7 +192,9 @@ impl Files {
         }
         // With the extension added, the dialog checks the file that will actually be written.
         if let Some(ending) = purpose.ending() {
-            dialog = dialog.add_save_extension(ending.1, ending.0).default_save_extension(ending.1);
+            dialog = dialog
+                .add_save_extension(ending.1, ending.0)
+                .default_save_extension(ending.1);
         }
         let saves = name.is_some();
         self.dialog = dialog;

@@ -18,13 +18,22 @@ pub struct History {
 
 impl Default for History {
     fn default() -> Self {
-        Self { undoer: Undoer::with_settings(Settings { max_undos: STEPS, ..Settings::default() }), last_snapshot: None }
+        Self {
+            undoer: Undoer::with_settings(Settings {
+                max_undos: STEPS,
+                ..Settings::default()
+            }),
+            last_snapshot: None,
+        }
     }
 }
 
 /// The scene without its camera, which undo ignores.
 pub fn without_camera(scene: &Scene) -> Scene {
-    Scene { camera: Camera::default(), ..scene.clone() }
+    Scene {
+        camera: Camera::default(),
+        ..scene.clone()
+    }
 }
 
 impl History {
@@ -162,7 +171,9 @@ mod tests {
         let mut scene = Scene::of_volume("phantom:ball");
         history.start(&scene);
         for n in 0..3 {
-            scene.deformation.push(Deformation::new(["twist", "peel", "box"][n]));
+            scene
+                .deformation
+                .push(Deformation::new(["twist", "peel", "box"][n]));
             history.take_snapshot(&scene);
         }
         scene.camera.zoom = 2.0;

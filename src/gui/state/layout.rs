@@ -73,7 +73,11 @@ impl LayoutPreset {
             Self::Only3d => {
                 let mut dock = DockState::new(vec![P::View3d]);
                 let tree = dock.main_surface_mut();
-                let [main, side] = tree.split_right(NodeIndex::root(), 0.79, vec![P::Inspector, P::Measure, P::MapEditor, P::Log]);
+                let [main, side] = tree.split_right(
+                    NodeIndex::root(),
+                    0.79,
+                    vec![P::Inspector, P::Measure, P::MapEditor, P::Log],
+                );
                 tree.split_below(side, 0.56, vec![P::Transfer]);
                 tree.split_left(main, 0.19, vec![P::Scene]);
                 dock
@@ -81,7 +85,11 @@ impl LayoutPreset {
             Self::FourUp => {
                 let mut dock = DockState::new(vec![P::View3d]);
                 let tree = dock.main_surface_mut();
-                let [main, side] = tree.split_right(NodeIndex::root(), 0.815, vec![P::Inspector, P::Measure, P::MapEditor, P::Log]);
+                let [main, side] = tree.split_right(
+                    NodeIndex::root(),
+                    0.815,
+                    vec![P::Inspector, P::Measure, P::MapEditor, P::Log],
+                );
                 tree.split_below(side, 0.55, vec![P::Transfer]);
                 let [main, _scene] = tree.split_left(main, 0.16, vec![P::Scene]);
                 let [_, axial] = tree.split_below(main, 0.64, vec![P::Axial]);
@@ -92,7 +100,8 @@ impl LayoutPreset {
             Self::Compare => {
                 let mut dock = DockState::new(vec![P::Compare]);
                 let tree = dock.main_surface_mut();
-                let [main, side] = tree.split_right(NodeIndex::root(), 0.8, vec![P::Inspector, P::Measure, P::Log]);
+                let [main, side] =
+                    tree.split_right(NodeIndex::root(), 0.8, vec![P::Inspector, P::Measure, P::Log]);
                 tree.split_below(side, 0.55, vec![P::Transfer]);
                 tree.split_left(main, 0.185, vec![P::Scene, P::View3d]);
                 dock
@@ -110,7 +119,11 @@ mod tests {
         for preset in [LayoutPreset::Only3d, LayoutPreset::FourUp, LayoutPreset::Compare] {
             let dock = preset.dock();
             let shown: Vec<Panel> = dock.iter_all_tabs().map(|(_, p)| *p).collect();
-            assert!(shown.contains(&Panel::Scene) && shown.contains(&Panel::Inspector) && shown.contains(&Panel::Transfer));
+            assert!(
+                shown.contains(&Panel::Scene)
+                    && shown.contains(&Panel::Inspector)
+                    && shown.contains(&Panel::Transfer)
+            );
             assert!(shown.contains(&Panel::View3d));
         }
     }

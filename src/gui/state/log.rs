@@ -39,12 +39,21 @@ impl Log {
     /// Adds a message; false if it repeats the last one.
     pub fn add(&mut self, level: LogLevel, text: impl Into<String>) -> bool {
         let text = text.into();
-        if let Some(last) = self.entries.last_mut().filter(|e| e.text == text && e.level == level) {
+        if let Some(last) = self
+            .entries
+            .last_mut()
+            .filter(|e| e.text == text && e.level == level)
+        {
             last.times += 1;
             last.at = SystemTime::now();
             return false;
         }
-        self.entries.push(LogEntry { level, text, at: SystemTime::now(), times: 1 });
+        self.entries.push(LogEntry {
+            level,
+            text,
+            at: SystemTime::now(),
+            times: 1,
+        });
         if self.entries.len() > MAX_MESSAGES {
             self.entries.remove(0);
         }
@@ -63,6 +72,9 @@ impl Log {
 
     /// All messages as text, oldest first.
     pub fn text(&self) -> String {
-        self.entries.iter().map(|e| format!("{:?}: {}\n", e.level, e.text)).collect()
+        self.entries
+            .iter()
+            .map(|e| format!("{:?}: {}\n", e.level, e.text))
+            .collect()
     }
 }

@@ -27,7 +27,9 @@ use self::files::{Dialog, Files, Loading};
 use self::history::{CameraHistory, History};
 use self::layout::{LayoutPreset, Panel};
 use self::log::Log;
-use self::panels::{Brush, Inspector, KeyList, MapEditor, MeasurePanel, Palette, ScenePanel, Thumbnails, TransferPanel};
+use self::panels::{
+    Brush, Inspector, KeyList, MapEditor, MeasurePanel, Palette, ScenePanel, Thumbnails, TransferPanel,
+};
 use self::session::Session;
 use self::slice_paint::Regions;
 use self::slices::Slices;
@@ -95,20 +97,42 @@ impl Hover {
     /// A point of a picture; its value is taken from the picture if available, else from the
     /// nearest voxel.
     pub fn new(assets: &Assets, deformed: Option<Vec3>, source: Vec3, value: Option<f64>) -> Self {
-        let value = value.or_else(|| assets.has_volume.then(|| nearest_value(&assets.volume, source.as_dvec3())).flatten());
+        let value = value.or_else(|| {
+            assets
+                .has_volume
+                .then(|| nearest_value(&assets.volume, source.as_dvec3()))
+                .flatten()
+        });
         let region = Regions::new(assets).and_then(|r| r.label(source).filter(|l| *l > 0).map(|l| r.name(l)));
-        Self { deformed, source, value, region }
+        Self {
+            deformed,
+            source,
+            value,
+            region,
+        }
     }
 
     /// The text for the status bar.
     pub fn words(&self) -> String {
         let place = |p: Vec3| {
-            let side = |v: f32, high: char, low: char| format!("{:.1} {}", v.abs(), if v > -0.05 { high } else { low });
-            format!("{} {} {}", side(p.x, 'L', 'R'), side(p.y, 'P', 'A'), side(p.z, 'S', 'I'))
+            let side = |v: f32, high: char, low: char| {
+                format!("{:.1} {}", v.abs(), if v > -0.05 { high } else { low })
+            };
+            format!(
+                "{} {} {}",
+                side(p.x, 'L', 'R'),
+                side(p.y, 'P', 'A'),
+                side(p.z, 'S', 'I')
+            )
         };
         let mut words = match self.deformed {
             Some(deformed) if deformed.distance(self.source) > 0.05 => {
-                format!("{} mm {} source {}", place(deformed), egui_phosphor::regular::ARROW_RIGHT, place(self.source))
+                format!(
+                    "{} mm {} source {}",
+                    place(deformed),
+                    egui_phosphor::regular::ARROW_RIGHT,
+                    place(self.source)
+                )
             }
             _ => format!("{} mm", place(self.source)),
         };
@@ -215,8 +239,15 @@ impl Workstation {
     /// Whether work is in progress: loading, tasks, pictures.
     pub fn is_busy(&self) -> bool {
         let waits = !self.view.is_fine && self.view.failure().is_none();
-        let views = self.doc.is_some() && self.view.rect.width() > 8.0 && waits && self.dock.find_tab(&Panel::View3d).is_some();
-        self.loading.is_some() || !self.tasks.is_empty() || !self.worker.is_idle() || self.prober.open > 0 || views
+        let views = self.doc.is_some()
+            && self.view.rect.width() > 8.0
+            && waits
+            && self.dock.find_tab(&Panel::View3d).is_some();
+        self.loading.is_some()
+            || !self.tasks.is_empty()
+            || !self.worker.is_idle()
+            || self.prober.open > 0
+            || views
     }
 
     /// Whether no request for the point under the pointer is pending.
@@ -243,18 +274,39 @@ impl Workstation {
 
     /// The name of the selection.
     pub fn selection_words(&self) -> String {
-        let Some(doc) = &self.doc else { return String::new() };
+        let Some(doc) = &self.doc else {
+            return String::new();
+        };
         match doc.selected {
             Selection::Nothing => "Picture".into(),
             Selection::Volume => "Volume".into(),
-            Selection::Mesh(n) => doc.scene.mesh.get(n).and_then(|m| m.name.clone().or_else(|| m.path.clone())).unwrap_or_else(|| "Surface".into()),
-            Selection::Deformation(n) => doc.scene.deformation.get(n).map(Document::title_of).unwrap_or_default(),
-            Selection::Measure(n) => doc.scene.measure.get(n).and_then(|m| m.name.clone()).unwrap_or_else(|| "Measurement".into()),
+            Selection::Mesh(n) => doc
+                .scene
+                .mesh
+                .get(n)
+                .and_then(|m| m.name.clone().or_else(|| m.path.clone()))
+                .unwrap_or_else(|| "Surface".into()),
+            Selection::Deformation(n) => doc
+                .scene
+                .deformation
+                .get(n)
+                .map(Document::title_of)
+                .unwrap_or_default(),
+            Selection::Measure(n) => doc
+                .scene
+                .measure
+                .get(n)
+                .and_then(|m| m.name.clone())
+                .unwrap_or_else(|| "Measurement".into()),
         }
     }
 
     pub(in crate::gui) fn tip(&self, action: Action, about: &str) -> String {
-        let key = self.entries.iter().find(|e| e.action == action).and_then(|e| e.key.as_ref());
+        let key = self
+            .entries
+            .iter()
+            .find(|e| e.action == action)
+            .and_then(|e| e.key.as_ref());
         match key {
             Some(key) => format!("{about} ({})", action::key_text(key)),
             None => about.to_owned(),

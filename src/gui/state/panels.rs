@@ -21,7 +21,10 @@ pub struct MapEditor;
 
 impl Default for Brush {
     fn default() -> Self {
-        Self { radius: 15.0, strength: 0.8 }
+        Self {
+            radius: 15.0,
+            strength: 0.8,
+        }
     }
 }
 
@@ -61,7 +64,10 @@ impl TransferPanel {
 
     /// Selects a preset and resets all other settings.
     pub fn choose(&mut self, settings: &mut TransferSettings, name: &str) {
-        *settings = TransferSettings { preset: Some(name.to_owned()), ..TransferSettings::default() };
+        *settings = TransferSettings {
+            preset: Some(name.to_owned()),
+            ..TransferSettings::default()
+        };
         self.point = None;
     }
 
@@ -71,7 +77,10 @@ impl TransferPanel {
             let histogram = volume.histogram(BINS);
             let counts = &histogram.counts;
             let top = counts.iter().copied().max().unwrap_or(1).max(2) as f32;
-            counts.iter().map(|c| (1.0 + *c as f32).ln() / (1.0 + top).ln()).collect()
+            counts
+                .iter()
+                .map(|c| (1.0 + *c as f32).ln() / (1.0 + top).ln())
+                .collect()
         })
     }
 }
@@ -129,12 +138,18 @@ impl Thumbnails {
 
     /// Stores a preset's thumbnail.
     pub fn preset_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
-        self.presets.insert(n, ctx.load_texture(format!("preset {n}"), image, egui::TextureOptions::LINEAR));
+        self.presets.insert(
+            n,
+            ctx.load_texture(format!("preset {n}"), image, egui::TextureOptions::LINEAR),
+        );
     }
 
     /// Stores a kind's thumbnail.
     pub fn kind_arrived(&mut self, ctx: &Context, n: usize, image: ColorImage) {
-        self.kinds.insert(n, ctx.load_texture(format!("kind {n}"), image, egui::TextureOptions::LINEAR));
+        self.kinds.insert(
+            n,
+            ctx.load_texture(format!("kind {n}"), image, egui::TextureOptions::LINEAR),
+        );
     }
 
     /// A preset's thumbnail.

@@ -22,15 +22,39 @@ const RECENT: usize = 12;
 
 /// The bundled files: the head and its labels, a mesh, and the scenes of the examples.
 const BUNDLED: [(&str, &[u8]); 9] = [
-    ("colin27-head-t1.nii.gz", include_bytes!("../../../volumes/colin27-head-t1.nii.gz")),
-    ("colin27-aal-labels.nii.gz", include_bytes!("../../../volumes/colin27-aal-labels.nii.gz")),
+    (
+        "colin27-head-t1.nii.gz",
+        include_bytes!("../../../volumes/colin27-head-t1.nii.gz"),
+    ),
+    (
+        "colin27-aal-labels.nii.gz",
+        include_bytes!("../../../volumes/colin27-aal-labels.nii.gz"),
+    ),
     ("bunny.obj", include_bytes!("../../../volumes/bunny.obj")),
-    ("head-peel.toml", include_bytes!("../../../volumes/head-peel.toml")),
-    ("head-quadrant.toml", include_bytes!("../../../volumes/head-quadrant.toml")),
-    ("head-slabs.toml", include_bytes!("../../../volumes/head-slabs.toml")),
-    ("brain-labels.toml", include_bytes!("../../../volumes/brain-labels.toml")),
-    ("bunny-knife.toml", include_bytes!("../../../volumes/bunny-knife.toml")),
-    ("piggy-bank-2.toml", include_bytes!("../../../volumes/piggy-bank-2.toml")),
+    (
+        "head-peel.toml",
+        include_bytes!("../../../volumes/head-peel.toml"),
+    ),
+    (
+        "head-quadrant.toml",
+        include_bytes!("../../../volumes/head-quadrant.toml"),
+    ),
+    (
+        "head-slabs.toml",
+        include_bytes!("../../../volumes/head-slabs.toml"),
+    ),
+    (
+        "brain-labels.toml",
+        include_bytes!("../../../volumes/brain-labels.toml"),
+    ),
+    (
+        "bunny-knife.toml",
+        include_bytes!("../../../volumes/bunny-knife.toml"),
+    ),
+    (
+        "piggy-bank-2.toml",
+        include_bytes!("../../../volumes/piggy-bank-2.toml"),
+    ),
 ];
 
 /// Worked examples: file and description.
@@ -63,7 +87,14 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { light: false, scale: 1.0, backend: crate::engine::Backend::Auto, blender: false, keys: BTreeMap::new(), recent: Vec::new() }
+        Self {
+            light: false,
+            scale: 1.0,
+            backend: crate::engine::Backend::Auto,
+            blender: false,
+            keys: BTreeMap::new(),
+            recent: Vec::new(),
+        }
     }
 }
 
@@ -114,19 +145,32 @@ impl Session {
             let path = folder.join(sub);
             note(std::fs::create_dir_all(&path), &path);
         }
-        let stamp = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+        let stamp = std::time::SystemTime::now()
+            .duration_since(std::time::UNIX_EPOCH)
+            .map_or(0, |d| d.as_nanos());
         let name = format!("{}-{stamp}", std::process::id());
         let lock_path = folder.join("autosave").join(format!("{name}.lock"));
         let lock = File::create(&lock_path).and_then(|f| f.lock().map(|()| f)).ok();
         let path = folder.join("settings.toml");
         let settings = match input::text(&path, input::MAX_SCENE_BYTES, "settings") {
             Ok(text) => toml::from_str(&text).unwrap_or_else(|e: toml::de::Error| {
-                problems.push(Error::file(&path, format!("cannot be read ({}); defaults are used", e.message())));
+                problems.push(Error::file(
+                    &path,
+                    format!("cannot be read ({}); defaults are used", e.message()),
+                ));
                 Settings::default()
             }),
             Err(_) => Settings::default(),
         };
-        Self { folder, name, lock, written: settings.clone(), settings, last: Instant::now(), saved: None }
+        Self {
+            folder,
+            name,
+            lock,
+            written: settings.clone(),
+            settings,
+            last: Instant::now(),
+            saved: None,
+        }
     }
 
     /// The user's folder.
@@ -146,7 +190,8 @@ impl Session {
         if self.settings == self.written {
             return Ok(());
         }
-        let text = toml::to_string_pretty(&self.settings).map_err(|e| Error::value("settings", e.to_string()))?;
+        let text =
+            toml::to_string_pretty(&self.settings).map_err(|e| Error::value("settings", e.to_string()))?;
         self.written = self.settings.clone();
         OutputFile::replacing(&self.folder.join("settings.toml"))?.finish(text.as_bytes())
     }
@@ -175,7 +220,10 @@ impl Session {
         let moved = scene.moved_to(&self.folder.join("autosave"))?;
         let mut text = moved.to_toml()?;
         if let Some(original) = original.and_then(|p| std::path::absolute(p).ok()) {
-            text = format!("{ORIGINAL}{}\n{text}", original.to_string_lossy().replace(['\n', '\r'], " "));
+            text = format!(
+                "{ORIGINAL}{}\n{text}",
+                original.to_string_lossy().replace(['\n', '\r'], " ")
+            );
         }
         if self.saved.as_ref() == Some(&text) {
             return Ok(());
@@ -194,7 +242,9 @@ impl Session {
 
     /// Scenes left behind by crashes, the newest first.
     pub fn left_behind(&self) -> Vec<Recovered> {
-        let Ok(entries) = std::fs::read_dir(self.folder.join("autosave")) else { return Vec::new() };
+        let Ok(entries) = std::fs::read_dir(self.folder.join("autosave")) else {
+            return Vec::new();
+        };
         let mut found = Vec::new();
         for path in entries.flatten().map(|e| e.path()) {
             if path.extension().is_none_or(|e| e != "toml") || path == self.autosave_path() {
@@ -204,9 +254,16 @@ impl Session {
                 continue;
             }
             let text = input::text(&path, input::MAX_SCENE_BYTES, "scene").unwrap_or_default();
-            let original = text.strip_prefix(ORIGINAL).and_then(|t| t.lines().next()).map(PathBuf::from);
+            let original = text
+                .strip_prefix(ORIGINAL)
+                .and_then(|t| t.lines().next())
+                .map(PathBuf::from);
             let saved = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
-            found.push(Recovered { file: path, original, saved });
+            found.push(Recovered {
+                file: path,
+                original,
+                saved,
+            });
         }
         found.sort_by_key(|r| std::cmp::Reverse(r.saved));
         found
@@ -234,24 +291,57 @@ impl Session {
             }
         }
         let path = folder.join(name);
-        if path.exists() { Ok(path) } else { Err(Error::value(name, "is not a bundled file")) }
+        if path.exists() {
+            Ok(path)
+        } else {
+            Err(Error::value(name, "is not a bundled file"))
+        }
     }
 
     /// The user's displacement maps.
     pub fn maps(&self) -> Vec<PathBuf> {
-        let Ok(entries) = std::fs::read_dir(self.folder.join("maps")) else { return Vec::new() };
-        let mut maps: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(|p| p.extension().is_some_and(|e| e == "nrrd")).collect();
+        let Ok(entries) = std::fs::read_dir(self.folder.join("maps")) else {
+            return Vec::new();
+        };
+        let mut maps: Vec<PathBuf> = entries
+            .flatten()
+            .map(|e| e.path())
+            .filter(|p| p.extension().is_some_and(|e| e == "nrrd"))
+            .collect();
         maps.sort();
         maps
     }
 
     /// An unused path for a map with a name.
     pub fn map_path(&self, name: &str) -> PathBuf {
-        let plain: String = name.trim().chars().map(|c| if c.is_alphanumeric() || " -_".contains(c) { c } else { '-' }).collect();
-        let plain = if plain.trim_matches('-').is_empty() { "map".to_owned() } else { plain };
+        let plain: String = name
+            .trim()
+            .chars()
+            .map(|c| {
+                if c.is_alphanumeric() || " -_".contains(c) {
+                    c
+                } else {
+                    '-'
+                }
+            })
+            .collect();
+        let plain = if plain.trim_matches('-').is_empty() {
+            "map".to_owned()
+        } else {
+            plain
+        };
         let folder = self.folder.join("maps");
-        let numbered = |n: usize| folder.join(if n == 1 { format!("{plain}.nrrd") } else { format!("{plain} {n}.nrrd") });
-        (1..).map(numbered).find(|p| !p.exists()).unwrap_or_else(|| numbered(1))
+        let numbered = |n: usize| {
+            folder.join(if n == 1 {
+                format!("{plain}.nrrd")
+            } else {
+                format!("{plain} {n}.nrrd")
+            })
+        };
+        (1..)
+            .map(numbered)
+            .find(|p| !p.exists())
+            .unwrap_or_else(|| numbered(1))
     }
 }
 
@@ -291,7 +381,9 @@ mod tests {
         let mut first = open(folder.path());
         let mut scene = Scene::of_volume("scan.nii.gz");
         scene.folder = PathBuf::from("/data");
-        first.autosave(&scene, Some(Path::new("/data/work.toml"))).unwrap();
+        first
+            .autosave(&scene, Some(Path::new("/data/work.toml")))
+            .unwrap();
         let second = open(folder.path());
         assert!(second.left_behind().is_empty(), "a living window's scene");
         drop(first);
@@ -314,10 +406,16 @@ mod tests {
         drop(session);
         let session = open(folder.path());
         assert!(session.settings.light);
-        assert_eq!(session.settings.recent, [PathBuf::from("/a"), PathBuf::from("/b")]);
+        assert_eq!(
+            session.settings.recent,
+            [PathBuf::from("/a"), PathBuf::from("/b")]
+        );
         std::fs::write(folder.path().join("settings.toml"), "scale = \"x\"").unwrap();
         let mut problems = Vec::new();
-        assert_eq!(Session::open(Some(folder.path().to_owned()), &mut problems).settings, Settings::default());
+        assert_eq!(
+            Session::open(Some(folder.path().to_owned()), &mut problems).settings,
+            Settings::default()
+        );
         assert_eq!(problems.len(), 1);
     }
 
@@ -328,7 +426,11 @@ mod tests {
         for (name, _) in EXAMPLES {
             let scene = Scene::load(&session.bundled(name).unwrap()).unwrap();
             for file in scene.files() {
-                assert!(file.to_string_lossy().starts_with("phantom:") || file.exists(), "{name}: {}", file.display());
+                assert!(
+                    file.to_string_lossy().starts_with("phantom:") || file.exists(),
+                    "{name}: {}",
+                    file.display()
+                );
             }
         }
     }

@@ -27,7 +27,8 @@ pub struct PictureRequest {
 impl PictureRequest {
     /// Whether both requests give the same picture.
     pub fn is(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.assets, &other.assets) && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
+        Arc::ptr_eq(&self.assets, &other.assets)
+            && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
     }
 }
 
@@ -54,12 +55,18 @@ impl DisplayedPicture {
             return view;
         }
         let own = vec2(own[0] as f32, own[1] as f32);
-        Rect::from_center_size(view.center(), own * (view.width() / own.x).min(view.height() / own.y))
+        Rect::from_center_size(
+            view.center(),
+            own * (view.width() / own.x).min(view.height() / own.y),
+        )
     }
 
     /// The projector of its camera.
     pub fn projector(&self, view: Rect, size: [u32; 2]) -> Projector {
-        Projector { frame: self.frame, rect: self.place(view, size) }
+        Projector {
+            frame: self.frame,
+            rect: self.place(view, size),
+        }
     }
 }
 
@@ -91,13 +98,17 @@ impl OutdatedNotice {
         if self.failure.is_some() {
             return 1.0;
         }
-        self.since.map_or(0.0, |since| ((since.elapsed().as_secs_f32() - PATIENCE) / THICKENING).clamp(0.0, 1.0))
+        self.since.map_or(0.0, |since| {
+            ((since.elapsed().as_secs_f32() - PATIENCE) / THICKENING).clamp(0.0, 1.0)
+        })
     }
 
     /// The text over the picture, if any; `there` states whether there is a picture.
     pub fn words(&self, there: bool) -> Option<String> {
         match (&self.failure, there) {
-            (Some(problem), true) => Some(format!("This picture is out of date. The scene cannot be shown as it is now:\n{problem}")),
+            (Some(problem), true) => Some(format!(
+                "This picture is out of date. The scene cannot be shown as it is now:\n{problem}"
+            )),
             (Some(problem), false) => Some(format!("The scene cannot be shown:\n{problem}")),
             (None, true) if self.thickness() > 0.0 => Some("Out of date; rendering…".to_owned()),
             (None, _) => None,

@@ -55,7 +55,10 @@ pub fn paint(section: &Section, assets: &Assets, style: SliceStyle) -> ColorImag
             return crate::gui::theme::CANVAS;
         }
         if own_labels {
-            return labels.as_ref().and_then(|l| l.color(section.sources[n])).map_or(Color32::BLACK, |[r, g, b]| Color32::from_rgb(r, g, b));
+            return labels
+                .as_ref()
+                .and_then(|l| l.color(section.sources[n]))
+                .map_or(Color32::BLACK, |[r, g, b]| Color32::from_rgb(r, g, b));
         }
         let share = ((value - low) / span).clamp(0.0, 1.0);
         let share = if inverted { 1.0 - share } else { share };
@@ -66,18 +69,32 @@ pub fn paint(section: &Section, assets: &Assets, style: SliceStyle) -> ColorImag
         let base = grey(n);
         match style.overlay {
             Overlay::None | Overlay::Glyphs => base,
-            Overlay::Labels => match labels.as_ref().filter(|_| !own_labels && !section.values[n].is_nan()).and_then(|l| l.color(section.sources[n]))
+            Overlay::Labels => match labels
+                .as_ref()
+                .filter(|_| !own_labels && !section.values[n].is_nan())
+                .and_then(|l| l.color(section.sources[n]))
             {
                 Some([r, g, b]) => mix(base, Color32::from_rgb(r, g, b), 0.45),
                 None => base,
             },
             Overlay::Grid => {
                 let (x, y) = (n % width, n / width);
-                let line = [(x + 1 < width).then(|| n + 1), (y + 1 < height).then(|| n + width)]
-                    .into_iter()
-                    .flatten()
-                    .any(|m| crosses(section.sources[n], section.sources[m]));
-                if line && section.mask[n] >= 0.5 { mix(base, Color32::from_rgb(110, 190, 245), (0.75 * (2.0 / mm).min(1.0)).max(0.4)) } else { base }
+                let line = [
+                    (x + 1 < width).then(|| n + 1),
+                    (y + 1 < height).then(|| n + width),
+                ]
+                .into_iter()
+                .flatten()
+                .any(|m| crosses(section.sources[n], section.sources[m]));
+                if line && section.mask[n] >= 0.5 {
+                    mix(
+                        base,
+                        Color32::from_rgb(110, 190, 245),
+                        (0.75 * (2.0 / mm).min(1.0)).max(0.4),
+                    )
+                } else {
+                    base
+                }
             }
             Overlay::Mask => {
                 let cut = ((1.0 - section.mask[n]) * 1.2).clamp(0.0, 1.0);
@@ -111,7 +128,11 @@ pub fn determinant_color(det: f32) -> (Color32, f32) {
         return (Color32::from_rgb(255, 40, 220), 0.85);
     }
     let log = det.log2().clamp(-2.0, 2.0);
-    let color = if log > 0.0 { Color32::from_rgb(70, 130, 255) } else { Color32::from_rgb(250, 215, 60) };
+    let color = if log > 0.0 {
+        Color32::from_rgb(70, 130, 255)
+    } else {
+        Color32::from_rgb(250, 215, 60)
+    };
     (color, 0.7 * (log.abs() / 1.2).min(1.0))
 }
 
@@ -131,13 +152,18 @@ impl<'a> Regions<'a> {
     pub fn new(assets: &'a Assets) -> Option<Self> {
         let map = assets.label_map().ok()?;
         let colors = Colors::of_labels(map.voxels.clone(), map.range[1] as usize, &map.label_table);
-        Some(Self { map, voxel_from_world: map.world_from_voxel.inverse(), colors })
+        Some(Self {
+            map,
+            voxel_from_world: map.world_from_voxel.inverse(),
+            colors,
+        })
     }
 
     /// The label of the voxel nearest to a world point; none outside.
     pub fn label(&self, world: Vec3) -> Option<u32> {
         let v = self.voxel_from_world.transform_point3(world.as_dvec3()).round();
-        let inside = v.is_finite() && v.cmpge(DVec3::ZERO).all() && (0..3).all(|a| (v[a] as usize) < self.map.size[a]);
+        let inside =
+            v.is_finite() && v.cmpge(DVec3::ZERO).all() && (0..3).all(|a| (v[a] as usize) < self.map.size[a]);
         inside.then(|| self.map.value(v.x as usize, v.y as usize, v.z as usize) as u32)
     }
 
@@ -149,7 +175,11 @@ impl<'a> Regions<'a> {
 
     /// A label's name, or its number.
     pub fn name(&self, label: u32) -> String {
-        let named = self.map.label_table.iter().find(|l| l.value == label && !l.name.is_empty());
+        let named = self
+            .map
+            .label_table
+            .iter()
+            .find(|l| l.value == label && !l.name.is_empty());
         named.map_or_else(|| format!("label {label}"), |l| l.name.clone())
     }
 }

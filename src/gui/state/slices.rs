@@ -14,8 +14,11 @@ use std::sync::Arc;
 /// Wheel movement for one slice, points.
 const NOTCH: f32 = 40.0;
 /// Names, rightward and downward directions: patient left on the right, by radiological convention.
-pub const ORIENTATIONS: [(&str, Vec3, Vec3); 3] =
-    [("Axial", Vec3::X, Vec3::Y), ("Coronal", Vec3::X, Vec3::NEG_Z), ("Sagittal", Vec3::Y, Vec3::NEG_Z)];
+pub const ORIENTATIONS: [(&str, Vec3, Vec3); 3] = [
+    ("Axial", Vec3::X, Vec3::Y),
+    ("Coronal", Vec3::X, Vec3::NEG_Z),
+    ("Sagittal", Vec3::Y, Vec3::NEG_Z),
+];
 
 /// The space that slices show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -62,13 +65,20 @@ pub(in crate::gui) struct Pane {
 
 impl Pane {
     pub(in crate::gui) fn take_request(&mut self, serial: u64) -> Option<SliceRequest> {
-        let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
+        let found = self
+            .open
+            .iter()
+            .position(|(n, _)| *n == serial)
+            .map(|at| self.open.remove(at).1);
         self.open.retain(|(n, _)| *n > serial);
         found
     }
 
     pub(in crate::gui) fn is_current(&self) -> bool {
-        self.picture.as_ref().zip(self.requested.as_ref()).is_some_and(|((_, of), requested)| of.is(requested))
+        self.picture
+            .as_ref()
+            .zip(self.requested.as_ref())
+            .is_some_and(|((_, of), requested)| of.is(requested))
     }
 }
 
@@ -128,14 +138,20 @@ impl Slices {
 
     /// Resets the state for another scene.
     pub fn forget(&mut self) {
-        *self = Self { overlay: self.overlay, space: self.space, ..Self::default() };
+        *self = Self {
+            overlay: self.overlay,
+            space: self.space,
+            ..Self::default()
+        };
     }
 
     /// Stores a slice that has arrived.
     pub fn arrived(&mut self, ctx: &egui::Context, n: usize, serial: u64, picture: SlicePicture) {
         let Some(pane) = self.panes.get_mut(n) else { return };
         // Without a matching request, it belongs to a scene that has been closed.
-        let Some(of) = pane.take_request(serial) else { return };
+        let Some(of) = pane.take_request(serial) else {
+            return;
+        };
         let options = egui::TextureOptions::LINEAR;
         let image = picture.image.clone();
         match &mut pane.texture {
@@ -150,14 +166,20 @@ impl Slices {
     pub fn failed(&mut self, n: usize, serial: u64, problem: &str) {
         let Some(pane) = self.panes.get_mut(n) else { return };
         let of = pane.take_request(serial);
-        if of.zip(pane.requested.as_ref()).is_some_and(|(of, requested)| of.is(requested)) {
+        if of
+            .zip(pane.requested.as_ref())
+            .is_some_and(|(of, requested)| of.is(requested))
+        {
             pane.delay.failure = Some(problem.to_owned());
         }
     }
 
     /// Whether every visible slice view has a picture.
     pub fn are_there(&self) -> bool {
-        self.panes.iter().filter(|p| p.rect.is_some()).all(|p| p.picture.is_some())
+        self.panes
+            .iter()
+            .filter(|p| p.rect.is_some())
+            .all(|p| p.picture.is_some())
     }
 
     /// The source point of a point on a deformed slice; none if the point is not on the displayed
@@ -166,7 +188,11 @@ impl Slices {
         let picture = self.picture(n)?;
         let (x, y, away) = picture.plane.pixel(world);
         let [width, height] = picture.plane.size;
-        let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32 && away.abs() < 2.0 * picture.plane.mm_per_pixel.max(0.5);
+        let inside = x >= 0.0
+            && y >= 0.0
+            && x < width as f32
+            && y < height as f32
+            && away.abs() < 2.0 * picture.plane.mm_per_pixel.max(0.5);
         inside.then(|| picture.source(world))
     }
 

@@ -56,7 +56,10 @@ impl Tool {
             Self::Navigate => String::new(),
             Self::Probe => "Click a point to read its value. Press Esc to finish.".into(),
             Self::Measure(kind) => format!("Click {} points. Press Esc to finish.", kind.points()),
-            Self::Place(kind) => format!("Click the surface, or drag onto it, to place: {}. Press Esc to finish.", words(kind.0.name)),
+            Self::Place(kind) => format!(
+                "Click the surface, or drag onto it, to place: {}. Press Esc to finish.",
+                words(kind.0.name)
+            ),
             Self::LassoCut => "Draw around the region to cut away. Press Esc to finish.".into(),
             Self::LassoRestore => "Draw around the region to restore. Press Esc to finish.".into(),
             Self::BrushPush => "Drag tissue on a slice or on the surface. Press Esc to finish.".into(),
@@ -140,7 +143,11 @@ struct Template {
 }
 
 fn template(kind: &Kind) -> Template {
-    let on = |share: [f32; 3], depth: f32| Template { share: Some(share), depth, turns: true };
+    let on = |share: [f32; 3], depth: f32| Template {
+        share: Some(share),
+        depth,
+        turns: true,
+    };
     match kind.name {
         // The peeled layer lies low in the box, with its outer side on the surface.
         "peel" => on([0.62, 0.55, 0.45], -0.07),
@@ -151,11 +158,19 @@ fn template(kind: &Kind) -> Template {
         "box" | "sphere" => on([0.35, 0.35, 0.35], 0.15),
         "cylinder" => on([0.3, 0.3, 0.5], 0.25),
         "lift" | "offset" => on([0.5, 0.5, 0.6], 0.1),
-        "half-space" => Template { share: None, depth: 0.0, turns: true },
+        "half-space" => Template {
+            share: None,
+            depth: 0.0,
+            turns: true,
+        },
         "wave" | "planar-wave" => on([0.5, 0.5, 0.4], 0.2),
         "elastic" => on([0.6, 0.6, 0.6], 0.25),
         // Kinds that affect the whole scene stay about its centre.
-        _ => Template { share: None, depth: 0.0, turns: false },
+        _ => Template {
+            share: None,
+            depth: 0.0,
+            turns: false,
+        },
     }
 }
 
@@ -179,17 +194,29 @@ pub fn tidy(v: Vec3) -> [f32; 3] {
 /// A deformation of a kind placed at a drop: on a surface point with its normal, or (if `None`)
 /// about the centre of the scene. A kind that opens does so towards `viewer`, a direction in the
 /// world.
-pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>, viewer: Vec3) -> Deformation {
+pub fn dropped(
+    kind: &'static Kind,
+    scene_box: &Bounds,
+    at: Option<(Vec3, Vec3)>,
+    viewer: Vec3,
+) -> Deformation {
     let template = template(kind);
     let mut deformation = Deformation::new(kind.name);
-    let size = template.share.map_or_else(|| kind.default_size(scene_box), |s| scene_box.size() * Vec3::from(s));
+    let size = template.share.map_or_else(
+        || kind.default_size(scene_box),
+        |s| scene_box.size() * Vec3::from(s),
+    );
     let across = matches!(kind.size, DefaultSize::Across(_));
     let mut center = scene_box.center();
     if let Some((point, normal)) = at {
         if template.turns {
             // A flap's hinge lies at -x: away from the viewer.
             let across = viewer - normal * viewer.dot(normal);
-            let x = if across.length() > 1e-3 { across.normalize() } else { normal.any_orthonormal_vector() };
+            let x = if across.length() > 1e-3 {
+                across.normalize()
+            } else {
+                normal.any_orthonormal_vector()
+            };
             let turn = Mat3::from_cols(x, normal.cross(x), normal);
             deformation.rotate = Some(tidy(angles_of(turn)));
             center = point - normal * (template.depth * size.z);
@@ -198,7 +225,10 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
         }
     }
     deformation.center = Some(tidy(center));
-    if matches!(kind.name, "peel" | "surface-peel" | "strip" | "knife" | "retractor" | "seam" | "book") {
+    if matches!(
+        kind.name,
+        "peel" | "surface-peel" | "strip" | "knife" | "retractor" | "seam" | "book"
+    ) {
         // Half open, to be adjusted with its handle.
         deformation.progress = Some(0.5);
     }
@@ -209,8 +239,12 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, at: Option<(Vec3, Vec3)>
     deformation.parameters = kind.example(&bounds);
     if kind.name == "peel" {
         // As thick as the box allows: the surface is curved, and the peeled part is a cap of it.
-        deformation.parameters.insert("depth", tidy(Vec3::splat(0.35 * size.z))[0]);
-        deformation.parameters.insert("radius", tidy(Vec3::splat(0.43 * size.z))[0]);
+        deformation
+            .parameters
+            .insert("depth", tidy(Vec3::splat(0.35 * size.z))[0]);
+        deformation
+            .parameters
+            .insert("radius", tidy(Vec3::splat(0.43 * size.z))[0]);
     }
     deformation
 }
@@ -222,7 +256,11 @@ mod tests {
 
     #[test]
     fn angles_and_matrices_are_inverse() {
-        for degrees in [Vec3::new(10.0, 20.0, 30.0), Vec3::new(-80.0, 45.0, 170.0), Vec3::ZERO] {
+        for degrees in [
+            Vec3::new(10.0, 20.0, 30.0),
+            Vec3::new(-80.0, 45.0, 170.0),
+            Vec3::ZERO,
+        ] {
             let m = matrix_of(degrees);
             assert!(matrix_of(angles_of(m)).abs_diff_eq(m, 1e-5), "{degrees}");
         }
@@ -232,17 +270,34 @@ mod tests {
     #[test]
     fn templates_lie_on_the_surface() {
         let scene_box = Bounds::new(Vec3::splat(-100.0), Vec3::splat(100.0));
-        for normal in [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_Z, Vec3::new(0.6, -0.48, 0.64)] {
+        for normal in [
+            Vec3::X,
+            Vec3::Y,
+            Vec3::Z,
+            Vec3::NEG_Z,
+            Vec3::new(0.6, -0.48, 0.64),
+        ] {
             for name in ["peel", "knife", "pull", "box", "half-space", "elastic"] {
                 let point = normal * 80.0;
                 let viewer = Vec3::new(0.3, -0.9, 0.2);
-                let d = dropped(kinds::kind(name).unwrap(), &scene_box, Some((point, normal)), viewer);
+                let d = dropped(
+                    kinds::kind(name).unwrap(),
+                    &scene_box,
+                    Some((point, normal)),
+                    viewer,
+                );
                 let turn = matrix_of(Vec3::from(d.rotate.unwrap()));
                 assert!((turn * Vec3::Z).abs_diff_eq(normal, 1e-3), "{name} {normal}");
-                assert!((turn * Vec3::X).dot(viewer) > -1e-3, "{name} {normal}: the hinge is nearer than the free end");
+                assert!(
+                    (turn * Vec3::X).dot(viewer) > -1e-3,
+                    "{name} {normal}: the hinge is nearer than the free end"
+                );
                 if let Some(size) = d.size {
                     let local = turn.transpose() * (point - Vec3::from(d.center.unwrap()));
-                    assert!(local.abs().cmple(size.xyz() / 2.0).all(), "{name} {normal} {local}");
+                    assert!(
+                        local.abs().cmple(size.xyz() / 2.0).all(),
+                        "{name} {normal} {local}"
+                    );
                 }
             }
         }

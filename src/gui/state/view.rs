@@ -125,7 +125,10 @@ impl View3d {
 
     /// Whether the displayed picture matches the last request.
     pub fn is_current(&self) -> bool {
-        self.picture.as_ref().zip(self.requested.as_ref()).is_some_and(|(p, a)| p.of.is(a))
+        self.picture
+            .as_ref()
+            .zip(self.requested.as_ref())
+            .is_some_and(|(p, a)| p.of.is(a))
     }
 
     /// Why the scene cannot be shown as it is.
@@ -135,13 +138,24 @@ impl View3d {
 
     /// Takes the request of a job; requests of older jobs are dropped.
     pub(in crate::gui) fn take_request(&mut self, serial: u64) -> Option<PictureRequest> {
-        let found = self.open.iter().position(|(n, _)| *n == serial).map(|at| self.open.remove(at).1);
+        let found = self
+            .open
+            .iter()
+            .position(|(n, _)| *n == serial)
+            .map(|at| self.open.remove(at).1);
         self.open.retain(|(n, _)| *n > serial);
         found
     }
 
     /// Stores a picture that has arrived.
-    pub fn arrived(&mut self, ctx: &egui::Context, target: JobTarget, serial: u64, ms: f64, shown: RenderedView) {
+    pub fn arrived(
+        &mut self,
+        ctx: &egui::Context,
+        target: JobTarget,
+        serial: u64,
+        ms: f64,
+        shown: RenderedView,
+    ) {
         let of = self.take_request(serial);
         if target == JobTarget::Coarse {
             self.coarse_open = false;
@@ -161,7 +175,14 @@ impl View3d {
         // Without a matching request, it belongs to a scene that has been closed.
         let Some(of) = of else { return };
         self.pictures += 1;
-        self.facts = Facts { ms, device: Some(shown.device), size: shown.image.size, step: shown.step, notices: shown.notices, blank: shown.blank };
+        self.facts = Facts {
+            ms,
+            device: Some(shown.device),
+            size: shown.image.size,
+            step: shown.step,
+            notices: shown.notices,
+            blank: shown.blank,
+        };
         let options = egui::TextureOptions::LINEAR;
         let texture = match self.picture.take() {
             Some(mut before) => {
@@ -170,7 +191,13 @@ impl View3d {
             }
             None => ctx.load_texture("3D", shown.image, options),
         };
-        self.picture = Some(DisplayedPicture { texture, of, frame: shown.frame, measured: shown.measured, serial });
+        self.picture = Some(DisplayedPicture {
+            texture,
+            of,
+            frame: shown.frame,
+            measured: shown.measured,
+            serial,
+        });
         self.delay.restart();
         let current = self.is_current();
         self.delay.note(current);
@@ -182,7 +209,10 @@ impl View3d {
             self.coarse_open = false;
         }
         let of = self.take_request(serial);
-        if of.zip(self.requested.as_ref()).is_some_and(|(of, requested)| of.is(requested)) {
+        if of
+            .zip(self.requested.as_ref())
+            .is_some_and(|(of, requested)| of.is(requested))
+        {
             self.delay.failure = Some(problem.to_owned());
         }
     }

@@ -126,7 +126,9 @@ pub struct SlicePicture {
 impl SlicePicture {
     /// The source position of a point on it, mm.
     pub fn source(&self, point: Vec3) -> Vec3 {
-        self.deformed.as_ref().map_or(point, |d| d.stack.source_and_alpha(point).0)
+        self.deformed
+            .as_ref()
+            .map_or(point, |d| d.stack.source_and_alpha(point).0)
     }
 }
 
@@ -222,8 +224,16 @@ impl Worker {
         let (send, done) = channel();
         let (message_sender, messages) = channel();
         let (own, ctx) = (shared.clone(), ctx.clone());
-        let thread = std::thread::Builder::new().name("renderer".into()).spawn(move || run(&own, &send, &message_sender, &ctx)).ok();
-        Self { shared, done, messages, thread }
+        let thread = std::thread::Builder::new()
+            .name("renderer".into())
+            .spawn(move || run(&own, &send, &message_sender, &ctx))
+            .ok();
+        Self {
+            shared,
+            done,
+            messages,
+            thread,
+        }
     }
 
     /// Submits a job; a waiting job of the same target is dropped.
@@ -232,7 +242,8 @@ impl Worker {
         let target = job.target;
         if let Some(running) = &queue.running {
             let more_urgent = target.urgency() < running.target.urgency();
-            let newer = running.target == target || (target == JobTarget::Coarse && running.target == JobTarget::Fine);
+            let newer = running.target == target
+                || (target == JobTarget::Coarse && running.target == JobTarget::Fine);
             if running.target.stops() && (more_urgent || newer) {
                 running.cancel.store(true, Ordering::Relaxed);
             }
@@ -265,7 +276,10 @@ impl Worker {
     /// The running job's target, and the fraction done.
     pub fn progress(&self) -> Option<(JobTarget, f32)> {
         let target = lock(&self.shared.queue).running.as_ref().map(|r| r.target)?;
-        Some((target, self.shared.progress.load(Ordering::Relaxed) as f32 / 1000.0))
+        Some((
+            target,
+            self.shared.progress.load(Ordering::Relaxed) as f32 / 1000.0,
+        ))
     }
 
     /// Whether no job is running or waiting.
@@ -322,19 +336,42 @@ fn next_job(shared: &WorkerState) -> Option<StartedJob> {
         if let Some(n) = (0..queue.jobs.len()).min_by_key(|n| queue.jobs[*n].target.urgency()) {
             let job = queue.jobs.remove(n);
             let cancel = Arc::new(AtomicBool::new(false));
-            queue.running = Some(Running { target: job.target, cancel: cancel.clone(), dropped: false });
+            queue.running = Some(Running {
+                target: job.target,
+                cancel: cancel.clone(),
+                dropped: false,
+            });
             let lose = std::mem::take(&mut queue.lose);
-            return Some(StartedJob { job, cancel, backend: queue.backend, lose });
+            return Some(StartedJob {
+                job,
+                cancel,
+                backend: queue.backend,
+                lose,
+            });
         }
         queue = shared.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
     }
 }
 
 /// Carries out jobs until the queue is closed.
-fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel, String)>, ctx: &egui::Context) {
+fn run(
+    shared: &WorkerState,
+    send: &Sender<FinishedJob>,
+    log: &Sender<(LogLevel, String)>,
+    ctx: &egui::Context,
+) {
     let pool = quiet_pool();
-    let mut renderer = Renderer { engine: None, log: log.clone() };
-    while let Some(StartedJob { job, cancel, backend, lose }) = next_job(shared) {
+    let mut renderer = Renderer {
+        engine: None,
+        log: log.clone(),
+    };
+    while let Some(StartedJob {
+        job,
+        cancel,
+        backend,
+        lose,
+    }) = next_job(shared)
+    {
         shared.progress.store(0, Ordering::Relaxed);
         if let (true, Ok(engine)) = (lose, renderer.engine(backend)) {
             engine.lose_device();
@@ -347,7 +384,10 @@ fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel,
                 ctx.request_repaint();
             }
         };
-        let watch = Watch { progress: &report, cancel: &cancel };
+        let watch = Watch {
+            progress: &report,
+            cancel: &cancel,
+        };
         let quiet = !matches!(job.target, JobTarget::Fine | JobTarget::Compare(_));
         let mut work = || renderer.work(&job, backend, &watch);
         // A panic in one picture is reported, and the next one is rendered.
@@ -355,18 +395,33 @@ fn run(shared: &WorkerState, send: &Sender<FinishedJob>, log: &Sender<(LogLevel,
             Some(pool) if quiet => pool.install(work),
             _ => work(),
         }))
-        .unwrap_or_else(|_| Err(Error::value("rendering", "failed because of an internal error; the scene is intact")));
+        .unwrap_or_else(|_| {
+            Err(Error::value(
+                "rendering",
+                "failed because of an internal error; the scene is intact",
+            ))
+        });
         let mut queue = lock(&shared.queue);
         let dropped = queue.running.take().is_some_and(|r| r.dropped);
         let stopped = dropped || matches!(outcome, Err(Error::Cancelled));
-        if stopped && !dropped && !queue.closed && !queue.jobs.iter().any(|j| j.target == job.target) && !matches!(job.target, JobTarget::Fine) {
+        if stopped
+            && !dropped
+            && !queue.closed
+            && !queue.jobs.iter().any(|j| j.target == job.target)
+            && !matches!(job.target, JobTarget::Fine)
+        {
             // The job was cancelled only in favour of a more urgent one, so it is queued again.
             queue.jobs.push(job);
             continue;
         }
         drop(queue);
         if !stopped {
-            let done = FinishedJob { target: job.target, serial: job.serial, outcome, ms: start.elapsed().as_secs_f64() * 1e3 };
+            let done = FinishedJob {
+                target: job.target,
+                serial: job.serial,
+                outcome,
+                ms: start.elapsed().as_secs_f64() * 1e3,
+            };
             if send.send(done).is_err() {
                 return;
             }
@@ -384,14 +439,23 @@ struct Renderer {
 impl Renderer {
     /// The engine of a backend; reopened if the backend changes.
     fn engine(&mut self, backend: Backend) -> Result<&mut Engine> {
-        if self.engine.as_ref().is_none_or(|engine| engine.backend() != backend) {
-            let engine = Engine::open(EngineOptions { backend, ..EngineOptions::default() })?;
+        if self
+            .engine
+            .as_ref()
+            .is_none_or(|engine| engine.backend() != backend)
+        {
+            let engine = Engine::open(EngineOptions {
+                backend,
+                ..EngineOptions::default()
+            })?;
             if let (Backend::Gpu, Some(error)) = (backend, engine.fallback()) {
                 self.warn(format!("{error}; pictures are rendered on the CPU"));
             }
             self.engine = Some(engine);
         }
-        self.engine.as_mut().ok_or_else(|| Error::Gpu("no renderer could be opened".into()))
+        self.engine
+            .as_mut()
+            .ok_or_else(|| Error::Gpu("no renderer could be opened".into()))
     }
 
     fn warn(&self, text: String) {
@@ -401,8 +465,16 @@ impl Renderer {
 
     fn work(&mut self, job: &Job, backend: Backend, watch: &Watch) -> Result<JobOutput> {
         match &job.what {
-            JobKind::Picture { counting, with_pixels, quality } => {
-                let request = RenderRequest { quality: *quality, count_samples: *counting, watch: *watch };
+            JobKind::Picture {
+                counting,
+                with_pixels,
+                quality,
+            } => {
+                let request = RenderRequest {
+                    quality: *quality,
+                    count_samples: *counting,
+                    watch: *watch,
+                };
                 let engine = self.engine(backend)?;
                 let picture = engine.picture(&job.scene, &job.assets, &request);
                 let warnings = engine.take_warnings();
@@ -413,18 +485,30 @@ impl Renderer {
                 }
                 Ok(JobOutput::Picture(Box::new(picture)))
             }
-            JobKind::Slice(plane, style) => slice(job, *plane, *style, watch).map(|s| JobOutput::Slice(Box::new(s))),
+            JobKind::Slice(plane, style) => {
+                slice(job, *plane, *style, watch).map(|s| JobOutput::Slice(Box::new(s)))
+            }
             JobKind::Measures(measures) => measured(job, measures, watch).map(JobOutput::Measures),
         }
     }
 }
 
 fn shown(picture: ScenePicture, with_pixels: bool) -> RenderedView {
-    let ScenePicture { prepared, rendered, device } = picture;
+    let ScenePicture {
+        prepared,
+        rendered,
+        device,
+    } = picture;
     let picture = rendered.picture;
     let bytes = picture.over(prepared.settings.background);
     let image = ColorImage::from_rgba_unmultiplied([picture.width as usize, picture.height as usize], &bytes);
-    let stages = prepared.stages.0.iter().chain(&rendered.stages.0).map(|(name, ms)| ((*name).to_owned(), *ms)).collect();
+    let stages = prepared
+        .stages
+        .0
+        .iter()
+        .chain(&rendered.stages.0)
+        .map(|(name, ms)| ((*name).to_owned(), *ms))
+        .collect();
     RenderedView {
         image,
         picture: with_pixels.then_some(picture),
@@ -441,18 +525,31 @@ fn shown(picture: ScenePicture, with_pixels: bool) -> RenderedView {
 
 fn slice(job: &Job, plane: SectionPlane, style: SliceStyle, watch: &Watch) -> Result<SlicePicture> {
     let assets = &job.assets;
-    let deformed = if style.source { None } else { Some(Deformed::watched(&job.scene, assets, watch)?) };
+    let deformed = if style.source {
+        None
+    } else {
+        Some(Deformed::watched(&job.scene, assets, watch)?)
+    };
     let maps = deformed.as_ref().map(Deformed::stack_and_cuts);
     let determinants = style.overlay == Overlay::Jacobian;
     let section = section::sample(&assets.volume, assets.grid(), maps, plane, determinants, watch)?;
     let image = slice_paint::paint(&section, assets, style);
     let deformed = deformed.filter(|d| !d.stack.is_empty());
-    Ok(SlicePicture { image, plane, section, style, deformed })
+    Ok(SlicePicture {
+        image,
+        plane,
+        section,
+        style,
+        deformed,
+    })
 }
 
 fn measured(job: &Job, measures: &[Measure], watch: &Watch) -> Result<Vec<MeasureResult>> {
     let deformed = Deformed::watched(&job.scene, &job.assets, watch)?;
-    measures.iter().map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed))).collect()
+    measures
+        .iter()
+        .map(|m| watch.check().map(|()| measured_in(m, &job.assets, &deformed)))
+        .collect()
 }
 
 /// The measurements of a picture that have points.
@@ -472,7 +569,11 @@ fn measured_points(job: &Job, watch: &Watch) -> Result<Vec<Option<MeasureResult>
 fn measured_in(measure: &Measure, assets: &Assets, deformed: &Deformed) -> MeasureResult {
     MeasureResult {
         quantities: measure.quantities(assets, deformed).map_err(|e| e.to_string()),
-        seen: measure.points.iter().map(|p| deformed.forward(Vec3::from(*p))).collect(),
+        seen: measure
+            .points
+            .iter()
+            .map(|p| deformed.forward(Vec3::from(*p)))
+            .collect(),
         measure: measure.clone(),
     }
 }

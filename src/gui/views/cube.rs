@@ -19,7 +19,12 @@ const FACES: [(Vec3, &str, &str); 6] = [
 
 /// Draws the cube into the upper right corner; returns the named view whose face is under the
 /// pointer.
-pub fn draw(painter: &Painter, rect: Rect, projector: &Projector, pointer: Option<Pos2>) -> Option<&'static str> {
+pub fn draw(
+    painter: &Painter,
+    rect: Rect,
+    projector: &Projector,
+    pointer: Option<Pos2>,
+) -> Option<&'static str> {
     let middle = pos2(rect.right() - 46.0, rect.top() + 46.0);
     let frame = &projector.frame;
     let (right, up) = (frame.right.normalize_or_zero(), frame.up.normalize_or_zero());
@@ -32,16 +37,34 @@ pub fn draw(painter: &Painter, rect: Rect, projector: &Projector, pointer: Optio
         }
         let (a, b) = normal.any_orthonormal_pair();
         // Axis-aligned corners: cyclic pairs of unit axes.
-        let corners: Vec<Pos2> = [a + b, b - a, -a - b, a - b].iter().map(|c| middle + flat(normal + *c)).collect();
+        let corners: Vec<Pos2> = [a + b, b - a, -a - b, a - b]
+            .iter()
+            .map(|c| middle + flat(normal + *c))
+            .collect();
         let over = pointer.is_some_and(|p| inside(&corners, p));
         if over {
             hit = Some(view);
         }
         let shade = (52.0 + 70.0 * facing) as u8;
-        let fill = if over { Color32::from_rgb(52, 110, 165) } else { Color32::from_rgba_unmultiplied(shade, shade, shade + 4, 225) };
-        painter.add(Shape::convex_polygon(corners, fill, Stroke::new(1.0, Color32::from_gray(150))));
+        let fill = if over {
+            Color32::from_rgb(52, 110, 165)
+        } else {
+            Color32::from_rgba_unmultiplied(shade, shade, shade + 4, 225)
+        };
+        painter.add(Shape::convex_polygon(
+            corners,
+            fill,
+            Stroke::new(1.0, Color32::from_gray(150)),
+        ));
         if facing > 0.25 {
-            text(painter, middle + flat(normal), Align2::CENTER_CENTER, letter, 13.0, ON_CANVAS);
+            text(
+                painter,
+                middle + flat(normal),
+                Align2::CENTER_CENTER,
+                letter,
+                13.0,
+                ON_CANVAS,
+            );
         }
     }
     hit
@@ -53,7 +76,9 @@ fn inside(corners: &[Pos2], p: Pos2) -> bool {
         let (a, b) = (corners[n], corners[(n + 1) % corners.len()]);
         (b - a).x * (p - a).y - (b - a).y * (p - a).x
     };
-    let (low, high) = (0..corners.len()).map(side).fold((f32::MAX, f32::MIN), |(l, h), s| (l.min(s), h.max(s)));
+    let (low, high) = (0..corners.len())
+        .map(side)
+        .fold((f32::MAX, f32::MIN), |(l, h), s| (l.min(s), h.max(s)));
     low >= 0.0 || high <= 0.0
 }
 

@@ -16,11 +16,27 @@ pub fn letters(direction: Vec3) -> String {
     let names = [('L', 'R'), ('P', 'A'), ('S', 'I')];
     let mut axes: Vec<usize> = (0..3).filter(|&a| direction[a].abs() > 0.35).collect();
     axes.sort_by(|&a, &b| direction[b].abs().total_cmp(&direction[a].abs()));
-    axes.iter().take(2).map(|&a| if direction[a] > 0.0 { names[a].0 } else { names[a].1 }).collect()
+    axes.iter()
+        .take(2)
+        .map(|&a| {
+            if direction[a] > 0.0 {
+                names[a].0
+            } else {
+                names[a].1
+            }
+        })
+        .collect()
 }
 
 /// Text on a picture, with a dark outline that keeps it readable on any background.
-pub fn text(painter: &Painter, at: Pos2, align: Align2, text: impl ToString, size: f32, color: Color32) -> Rect {
+pub fn text(
+    painter: &Painter,
+    at: Pos2,
+    align: Align2,
+    text: impl ToString,
+    size: f32,
+    color: Color32,
+) -> Rect {
     let font = FontId::proportional(size);
     let text = text.to_string();
     let rim = Color32::from_black_alpha(200);
@@ -34,10 +50,22 @@ pub fn text(painter: &Painter, at: Pos2, align: Align2, text: impl ToString, siz
 pub fn edge_letters(painter: &Painter, rect: Rect, right: Vec3, up: Vec3) {
     let inset = 8.0;
     for (at, align, direction) in [
-        (pos2(rect.right() - inset, rect.center().y), Align2::RIGHT_CENTER, right),
-        (pos2(rect.left() + inset, rect.center().y), Align2::LEFT_CENTER, -right),
+        (
+            pos2(rect.right() - inset, rect.center().y),
+            Align2::RIGHT_CENTER,
+            right,
+        ),
+        (
+            pos2(rect.left() + inset, rect.center().y),
+            Align2::LEFT_CENTER,
+            -right,
+        ),
         (pos2(rect.center().x, rect.top() + inset), Align2::CENTER_TOP, up),
-        (pos2(rect.center().x, rect.bottom() - inset), Align2::CENTER_BOTTOM, -up),
+        (
+            pos2(rect.center().x, rect.bottom() - inset),
+            Align2::CENTER_BOTTOM,
+            -up,
+        ),
     ] {
         text(painter, at, align, letters(direction), 14.0, ON_CANVAS);
     }
@@ -50,7 +78,11 @@ pub fn scale_bar(painter: &Painter, rect: Rect, mm_per_point: f32) {
         return;
     }
     let decade = 10f32.powf(longest.log10().floor());
-    let mm = [5.0, 2.0, 1.0].into_iter().map(|f| f * decade).find(|mm| *mm <= longest).unwrap_or(decade);
+    let mm = [5.0, 2.0, 1.0]
+        .into_iter()
+        .map(|f| f * decade)
+        .find(|mm| *mm <= longest)
+        .unwrap_or(decade);
     let length = mm / mm_per_point;
     let (x, y) = (rect.right() - 14.0, rect.bottom() - 14.0);
     for (color, width) in [(Color32::from_black_alpha(200), 4.0), (ON_CANVAS, 2.0)] {
@@ -59,7 +91,14 @@ pub fn scale_bar(painter: &Painter, rect: Rect, mm_per_point: f32) {
         painter.line_segment([pos2(x - length, y - 4.0), pos2(x - length, y + 4.0)], stroke);
         painter.line_segment([pos2(x, y - 4.0), pos2(x, y + 4.0)], stroke);
     }
-    text(painter, pos2(x - length / 2.0, y - 6.0), Align2::CENTER_BOTTOM, format!("{mm} mm"), 13.0, ON_CANVAS);
+    text(
+        painter,
+        pos2(x - length / 2.0, y - 6.0),
+        Align2::CENTER_BOTTOM,
+        format!("{mm} mm"),
+        13.0,
+        ON_CANVAS,
+    );
 }
 
 #[cfg(test)]

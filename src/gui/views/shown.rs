@@ -41,17 +41,27 @@ pub fn draw_message(painter: &Painter, rect: Rect, sentence: &str) {
 /// Lines of text on a dark box in the centre of a view.
 fn boxed(painter: &Painter, rect: Rect, words: &str, color: Color32) {
     let width = (rect.width() - 60.0).clamp(60.0, 460.0);
-    let mut job = eframe::egui::text::LayoutJob::simple(words.to_owned(), FontId::proportional(14.0), color, width);
+    let mut job =
+        eframe::egui::text::LayoutJob::simple(words.to_owned(), FontId::proportional(14.0), color, width);
     job.halign = Align::Center;
     let galley = painter.layout_job(job);
     let size = galley.rect.size();
     let middle = rect.center();
     let around = Rect::from_center_size(middle, size + vec2(24.0, 16.0));
-    painter.rect_filled(around, 5.0, CANVAS.gamma_multiply(f32::from(color.a()) / 255.0 * 0.9));
+    painter.rect_filled(
+        around,
+        5.0,
+        CANVAS.gamma_multiply(f32::from(color.a()) / 255.0 * 0.9),
+    );
     painter.galley(pos2(middle.x, middle.y - size.y / 2.0), galley, color);
 }
 
 /// Draws a texture into a rectangle.
 pub fn image(painter: &Painter, texture: &TextureHandle, place: Rect) {
-    painter.image(texture.id(), place, Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0)), Color32::WHITE);
+    painter.image(
+        texture.id(),
+        place,
+        Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0)),
+        Color32::WHITE,
+    );
 }

@@ -12,7 +12,10 @@ use crate::gui::state::tool::Tool;
 use crate::gui::state::worker::SlicePicture;
 use crate::gui::state::{Gesture, Hover, Workstation};
 use crate::gui::theme::{AXES, CANVAS, ON_CANVAS, SELECTED};
-use eframe::egui::{self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Stroke, Ui, pos2, vec2};
+use eframe::egui::{
+    self, Align2, Color32, CursorIcon, Painter, PointerButton, Pos2, Rect, Response, Sense, Stroke, Ui, pos2,
+    vec2,
+};
 use glam::Vec3;
 
 /// Spacing of arrows, points.
@@ -28,11 +31,23 @@ impl Slices {
         let Some(doc) = state.doc.as_ref().filter(|d| d.assets.has_volume) else {
             self.panes[n].rect = None;
             self.panes[n + 3].rect = None;
-            text(ui.painter(), rect.center(), Align2::CENTER_CENTER, "No volume in this scene", 13.5, ON_CANVAS);
+            text(
+                ui.painter(),
+                rect.center(),
+                Align2::CENTER_CENTER,
+                "No volume in this scene",
+                13.5,
+                ON_CANVAS,
+            );
             return requests;
         };
         let pixels_per_point = ui.ctx().pixels_per_point();
-        let area = |source: bool, rect: Rect| PaneArea { n, source, rect, pixels_per_point };
+        let area = |source: bool, rect: Rect| PaneArea {
+            n,
+            source,
+            rect,
+            pixels_per_point,
+        };
         if self.space == Space::Linked {
             let middle = rect.center().x;
             let left = Rect::from_min_max(rect.min, pos2(middle - 1.0, rect.bottom()));
@@ -48,37 +63,83 @@ impl Slices {
     }
 
     /// Draws one pane, and handles what the pointer does on it.
-    fn show_pane(&mut self, state: &Workstation, doc: &Document, ui: &mut Ui, area: PaneArea, requests: &mut Requests) {
+    fn show_pane(
+        &mut self,
+        state: &Workstation,
+        doc: &Document,
+        ui: &mut Ui,
+        area: PaneArea,
+        requests: &mut Requests,
+    ) {
         let PaneArea { n, source, rect, .. } = area;
         let (name, right, down) = ORIENTATIONS[n];
-        let word = if source { format!("{name} source view") } else { format!("{name} view") };
-        let response = ui.interact(rect, ui.id().with(("slice", area.pane())), Sense::click_and_drag());
+        let word = if source {
+            format!("{name} source view")
+        } else {
+            format!("{name} view")
+        };
+        let response = ui.interact(
+            rect,
+            ui.id().with(("slice", area.pane())),
+            Sense::click_and_drag(),
+        );
         response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::Other, true, &word));
         let cursor = *self.cursor.get_or_insert(doc.bounds().center());
         // In linked mode, through the source point of the crosshair rather than through its current
         // position.
-        let through = if source && self.space == Space::Linked { self.source_cursor().unwrap_or(cursor) } else { cursor };
+        let through = if source && self.space == Space::Linked {
+            self.source_cursor().unwrap_or(cursor)
+        } else {
+            cursor
+        };
         let plane = self.plane(doc, &area, through);
-        let window = doc.assets.volume.window(doc.scene.transfer.window, doc.scene.transfer.level);
-        let style = SliceStyle { window: state.slice_window.unwrap_or(window), overlay: self.overlay, source };
+        let window = doc
+            .assets
+            .volume
+            .window(doc.scene.transfer.window, doc.scene.transfer.level);
+        let style = SliceStyle {
+            window: state.slice_window.unwrap_or(window),
+            overlay: self.overlay,
+            source,
+        };
         requests.0.push(Request::Slice(area.pane(), plane, style));
         let pane = &mut self.panes[area.pane()];
         pane.rect = Some(rect);
         let current = pane.is_current() && pane.delay.failure.is_none();
         pane.delay.note(current);
         let painter = ui.painter_at(rect);
-        let Some(shown) = self.draw_picture(&painter, &area, &plane, through) else { return };
+        let Some(shown) = self.draw_picture(&painter, &area, &plane, through) else {
+            return;
+        };
         if !source && !state.stroke_points.is_empty() {
-            let points: Vec<Pos2> = state.stroke_points.iter().map(|p| area.screen(&plane, *p)).collect();
+            let points: Vec<Pos2> = state
+                .stroke_points
+                .iter()
+                .map(|p| area.screen(&plane, *p))
+                .collect();
             draw_points_of(&painter, &points, SELECTED);
         }
-        if let (Some(radius), Some(pos)) = (state.tool.brush().map(|_| state.brush.radius), response.hover_pos().filter(|_| !source)) {
-            painter.circle_stroke(pos, radius / (plane.mm_per_pixel * area.pixels_per_point), Stroke::new(1.5, SELECTED));
+        if let (Some(radius), Some(pos)) = (
+            state.tool.brush().map(|_| state.brush.radius),
+            response.hover_pos().filter(|_| !source),
+        ) {
+            painter.circle_stroke(
+                pos,
+                radius / (plane.mm_per_pixel * area.pixels_per_point),
+                Stroke::new(1.5, SELECTED),
+            );
         }
         // Positions refer to the plane of the displayed slice.
         let normal = right.cross(down);
-        let plane = SectionPlane { center: plane.center + normal * (shown.center - plane.center).dot(normal), ..plane };
-        let on = PaneInput { area, response: &response, plane: &plane };
+        let plane = SectionPlane {
+            center: plane.center + normal * (shown.center - plane.center).dot(normal),
+            ..plane
+        };
+        let on = PaneInput {
+            area,
+            response: &response,
+            plane: &plane,
+        };
         self.handle_input(state, doc, ui, &on, requests);
     }
 
@@ -93,14 +154,32 @@ impl Slices {
         let mm_per_pixel = (across / size[0] as f32).max(along / size[1] as f32) * 1.03 / self.zoom;
         let normal = right.cross(down);
         let pan = self.pan[area.n];
-        let center = bounds.center() + normal * (through - bounds.center()).dot(normal) + right * pan.x + down * pan.y;
-        SectionPlane { center, right, down, mm_per_pixel, size }
+        let center =
+            bounds.center() + normal * (through - bounds.center()).dot(normal) + right * pan.x + down * pan.y;
+        SectionPlane {
+            center,
+            right,
+            down,
+            mm_per_pixel,
+            size,
+        }
     }
 
-    /// Draws the newest picture of a pane, with crosshair, letters, scale bar and title; returns the
-    /// picture's plane, none without a picture.
-    fn draw_picture(&self, painter: &Painter, area: &PaneArea, plane: &SectionPlane, through: Vec3) -> Option<SectionPlane> {
-        let PaneArea { n, source, rect, pixels_per_point: ppp } = *area;
+    /// Draws the newest picture of a pane, with crosshair, letters, scale bar and title; returns
+    /// the picture's plane, none without a picture.
+    fn draw_picture(
+        &self,
+        painter: &Painter,
+        area: &PaneArea,
+        plane: &SectionPlane,
+        through: Vec3,
+    ) -> Option<SectionPlane> {
+        let PaneArea {
+            n,
+            source,
+            rect,
+            pixels_per_point: ppp,
+        } = *area;
         let pane = &self.panes[area.pane()];
         let (Some(texture), Some((picture, _))) = (&pane.texture, &pane.picture) else {
             pane.delay.draw(painter, rect, false);
@@ -109,7 +188,11 @@ impl Slices {
         // The picture stays in its own plane until the next one arrives.
         let shown = picture.plane;
         let at = |x: f32, y: f32| area.screen(plane, shown.point(x, y));
-        shown::image(painter, texture, Rect::from_min_max(at(0.0, 0.0), at(shown.size[0] as f32, shown.size[1] as f32)));
+        shown::image(
+            painter,
+            texture,
+            Rect::from_min_max(at(0.0, 0.0), at(shown.size[0] as f32, shown.size[1] as f32)),
+        );
         if picture.style.overlay == Overlay::Glyphs && !source {
             draw_glyphs(painter, area, plane, picture);
         }
@@ -122,13 +205,27 @@ impl Slices {
             (_, true) => format!("{name} source"),
             (_, false) => format!("{name} deformed"),
         };
-        text(painter, rect.min + vec2(8.0, 6.0), Align2::LEFT_TOP, title, 13.0, ON_CANVAS);
+        text(
+            painter,
+            rect.min + vec2(8.0, 6.0),
+            Align2::LEFT_TOP,
+            title,
+            13.0,
+            ON_CANVAS,
+        );
         pane.delay.draw(painter, rect, true);
         Some(shown)
     }
 
     /// Handles what the pointer does on a pane.
-    fn handle_input(&mut self, state: &Workstation, doc: &Document, ui: &Ui, on: &PaneInput, requests: &mut Requests) {
+    fn handle_input(
+        &mut self,
+        state: &Workstation,
+        doc: &Document,
+        ui: &Ui,
+        on: &PaneInput,
+        requests: &mut Requests,
+    ) {
         let PaneInput { response, area, .. } = *on;
         if response.hovered() {
             self.handle_hover(state, doc, ui, on, requests);
@@ -150,7 +247,11 @@ impl Slices {
         if response.clicked()
             && let Some(pos) = response.interact_pointer_pos()
         {
-            requests.0.push(Request::ClickSlice { at: on.world(pos), n: area.n, source: area.source });
+            requests.0.push(Request::ClickSlice {
+                at: on.world(pos),
+                n: area.n,
+                source: area.source,
+            });
         }
         if response.double_clicked() {
             self.zoom = 1.0;
@@ -159,13 +260,21 @@ impl Slices {
     }
 
     /// Zooms or scrolls by the wheel, and reports the point under the pointer.
-    fn handle_hover(&mut self, state: &Workstation, doc: &Document, ui: &Ui, on: &PaneInput, requests: &mut Requests) {
+    fn handle_hover(
+        &mut self,
+        state: &Workstation,
+        doc: &Document,
+        ui: &Ui,
+        on: &PaneInput,
+        requests: &mut Requests,
+    ) {
         let PaneArea { n, source, .. } = on.area;
         let scroll = ui.input(|i| i.smooth_scroll_delta.y);
         let ctrl = ui.input(|i| i.modifiers.command);
         let pinch = ui.input(|i| i.zoom_delta());
         if pinch != 1.0 || (ctrl && scroll != 0.0) {
-            self.zoom = (self.zoom * pinch * (scroll * 0.0025 * f32::from(u8::from(ctrl))).exp()).clamp(0.2, 40.0);
+            self.zoom =
+                (self.zoom * pinch * (scroll * 0.0025 * f32::from(u8::from(ctrl))).exp()).clamp(0.2, 40.0);
         } else if scroll != 0.0 {
             self.scroll(doc, n, scroll);
         }
@@ -173,18 +282,37 @@ impl Slices {
             ui.ctx().set_cursor_icon(CursorIcon::Crosshair);
         }
         if let Some(pos) = on.response.hover_pos() {
-            let from = if source { Some(on.world(pos)) } else { self.source_of(n, on.world(pos)) };
-            let hover = from.map(|from| Hover::new(&doc.assets, (!source).then_some(on.world(pos)), from, None));
+            let from = if source {
+                Some(on.world(pos))
+            } else {
+                self.source_of(n, on.world(pos))
+            };
+            let hover =
+                from.map(|from| Hover::new(&doc.assets, (!source).then_some(on.world(pos)), from, None));
             requests.0.push(Request::SetHover(hover));
         }
     }
 
     /// Follows the pointer during a drag.
-    fn continue_drag(&mut self, doc: &Document, on: &PaneInput, gesture: Option<&Gesture>, pos: Pos2, requests: &mut Requests) {
-        let PaneArea { n, source, pixels_per_point: ppp, .. } = on.area;
+    fn continue_drag(
+        &mut self,
+        doc: &Document,
+        on: &PaneInput,
+        gesture: Option<&Gesture>,
+        pos: Pos2,
+        requests: &mut Requests,
+    ) {
+        let PaneArea {
+            n,
+            source,
+            pixels_per_point: ppp,
+            ..
+        } = on.area;
         let delta = on.response.drag_delta();
         match gesture {
-            Some(Gesture::Crosshair) if !source => self.cursor = Some(on.world(pos).clamp(doc.bounds().min, doc.bounds().max)),
+            Some(Gesture::Crosshair) if !source => {
+                self.cursor = Some(on.world(pos).clamp(doc.bounds().min, doc.bounds().max))
+            }
             Some(Gesture::SlicePan) => self.pan[n] -= delta * ppp * on.plane.mm_per_pixel,
             Some(Gesture::SliceZoom) => self.zoom = (self.zoom * (-delta.y * 0.01).exp()).clamp(0.2, 40.0),
             Some(Gesture::Window) => requests.0.push(Request::DragWindow(delta)),

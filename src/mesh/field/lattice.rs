@@ -28,7 +28,13 @@ pub struct FieldSettings {
 
 impl Default for FieldSettings {
     fn default() -> Self {
-        Self { resolution: 128, cell_mm: None, region: None, exact: false, parity: false }
+        Self {
+            resolution: 128,
+            cell_mm: None,
+            region: None,
+            exact: false,
+            parity: false,
+        }
     }
 }
 
@@ -58,14 +64,28 @@ impl FieldLattice {
         if part.is_empty() {
             return Err("no part of the mesh lies in the box".into());
         }
-        let size = (part.size() / cell - 1e-3).ceil().max(Vec3::ONE).to_array().map(|n| (n as usize).saturating_add(1));
-        let points = size.iter().try_fold(1usize, |p, &n| p.checked_mul(n)).unwrap_or(usize::MAX);
+        let size = (part.size() / cell - 1e-3)
+            .ceil()
+            .max(Vec3::ONE)
+            .to_array()
+            .map(|n| (n as usize).saturating_add(1));
+        let points = size
+            .iter()
+            .try_fold(1usize, |p, &n| p.checked_mul(n))
+            .unwrap_or(usize::MAX);
         if points > MAX_POINTS {
-            return Err(format!("a field of {} x {} x {} points is too large; make its cells larger", size[0], size[1], size[2]));
+            return Err(format!(
+                "a field of {} x {} x {} points is too large; make its cells larger",
+                size[0], size[1], size[2]
+            ));
         }
         // The extent added by rounding is split between both sides.
         let more = Vec3::from(size.map(|n| (n - 1) as f32)) * cell - part.size();
-        Ok(Self { size, origin: part.min - more * 0.5, cell })
+        Ok(Self {
+            size,
+            origin: part.min - more * 0.5,
+            cell,
+        })
     }
 
     pub fn point(&self, i: usize, j: usize, k: usize) -> Vec3 {

@@ -34,8 +34,13 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
                 points = Some(values.chunks_exact(3).map(lps).collect());
             }
             "NIFTI_INTENT_TRIANGLE" => {
-                let index =
-                    |v: &f64| if *v >= 0.0 && *v < 4e9 { Ok(*v as u32) } else { Err(format!("has a triangle with the invalid vertex index {v}")) };
+                let index = |v: &f64| {
+                    if *v >= 0.0 && *v < 4e9 {
+                        Ok(*v as u32)
+                    } else {
+                        Err(format!("has a triangle with the invalid vertex index {v}"))
+                    }
+                };
                 let values: Vec<u32> = array.values()?.iter().map(index).collect::<Result<_, _>>()?;
                 triangles = Some(values.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect());
             }
@@ -43,7 +48,11 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
         }
     }
     match (points, triangles) {
-        (Some(positions), Some(triangles)) => Ok(MeshFileContents { positions, triangles, ..MeshFileContents::default() }),
+        (Some(positions), Some(triangles)) => Ok(MeshFileContents {
+            positions,
+            triangles,
+            ..MeshFileContents::default()
+        }),
         (Some(_), None) => Err("holds points but no triangles; give the surface file".into()),
         (None, Some(_)) => Err("holds triangles but no points; give the file that holds both".into()),
         (None, None) => Err("holds no surface: neither points nor triangles".into()),
@@ -71,8 +80,12 @@ fn arrays(text: &str) -> Result<Vec<GiftiArray>, String> {
                             "Encoding" => array.encoding = value,
                             "Endian" => array.big_endian = value == "BigEndian",
                             "ArrayIndexingOrder" => array.column_major = value == "ColumnMajorOrder",
-                            "Dim0" => array.dims[0] = value.parse().map_err(|_| "has an array without a size")?,
-                            "Dim1" => array.dims[1] = value.parse().map_err(|_| "has an array without a size")?,
+                            "Dim0" => {
+                                array.dims[0] = value.parse().map_err(|_| "has an array without a size")?
+                            }
+                            "Dim1" => {
+                                array.dims[1] = value.parse().map_err(|_| "has an array without a size")?
+                            }
                             _ => {}
                         }
                     }
@@ -101,18 +114,28 @@ impl GiftiArray {
     /// The values, row by row.
     fn values(&self) -> Result<Vec<f64>, String> {
         let [rows, columns] = self.dims;
-        let count = rows.checked_mul(columns).filter(|n| *n <= MAX_BYTES / 4).ok_or("declares an array too large to be read")? as usize;
+        let count = rows
+            .checked_mul(columns)
+            .filter(|n| *n <= MAX_BYTES / 4)
+            .ok_or("declares an array too large to be read")? as usize;
         if columns != 3 {
-            return Err(format!("has an array of {rows} x {columns}; points and triangles have three columns"));
+            return Err(format!(
+                "has an array of {rows} x {columns}; points and triangles have three columns"
+            ));
         }
         let values = if self.encoding == "ASCII" {
             self.data
                 .split_ascii_whitespace()
-                .map(|w| w.parse::<f64>().map_err(|_| format!("has \"{w}\" where a number should be")))
+                .map(|w| {
+                    w.parse::<f64>()
+                        .map_err(|_| format!("has \"{w}\" where a number should be"))
+                })
                 .collect::<Result<Vec<_>, _>>()?
         } else {
             let packed: Vec<u8> = self.data.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
-            let mut bytes = base64::engine::general_purpose::STANDARD.decode(packed).map_err(|e| format!("has broken base64: {e}"))?;
+            let mut bytes = base64::engine::general_purpose::STANDARD
+                .decode(packed)
+                .map_err(|e| format!("has broken base64: {e}"))?;
             match self.encoding.as_str() {
                 "Base64Binary" => {}
                 "GZipBase64Binary" => {
@@ -128,17 +151,31 @@ impl GiftiArray {
             }
             let four = |b: &[u8]| {
                 let b = [b[0], b[1], b[2], b[3]];
-                if self.big_endian { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) }
+                if self.big_endian {
+                    u32::from_be_bytes(b)
+                } else {
+                    u32::from_le_bytes(b)
+                }
             };
             match self.data_type.as_str() {
-                "NIFTI_TYPE_FLOAT32" => bytes.chunks_exact(4).map(|b| f64::from(f32::from_bits(four(b)))).collect(),
+                "NIFTI_TYPE_FLOAT32" => bytes
+                    .chunks_exact(4)
+                    .map(|b| f64::from(f32::from_bits(four(b))))
+                    .collect(),
                 "NIFTI_TYPE_INT32" => bytes.chunks_exact(4).map(|b| f64::from(four(b) as i32)).collect(),
                 "NIFTI_TYPE_UINT32" => bytes.chunks_exact(4).map(|b| f64::from(four(b))).collect(),
-                other => return Err(format!("has an array of {other}; points are FLOAT32, triangles INT32")),
+                other => {
+                    return Err(format!(
+                        "has an array of {other}; points are FLOAT32, triangles INT32"
+                    ));
+                }
             }
         };
         if values.len() != count {
-            return Err(format!("has an array of {} values that declares {count}", values.len()));
+            return Err(format!(
+                "has an array of {} values that declares {count}",
+                values.len()
+            ));
         }
         if self.column_major {
             let rows = rows as usize;

@@ -52,7 +52,9 @@ pub fn is_mesh(path: &Path) -> bool {
 fn ending(path: &Path) -> Option<&'static str> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let name = name.strip_suffix(".gz").unwrap_or(&name);
-    ENDINGS.into_iter().find(|e| name.strip_suffix(e).is_some_and(|stem| stem.ends_with('.')))
+    ENDINGS
+        .into_iter()
+        .find(|e| name.strip_suffix(e).is_some_and(|stem| stem.ends_with('.')))
 }
 
 /// Reads a mesh.
@@ -60,8 +62,15 @@ fn ending(path: &Path) -> Option<&'static str> {
 /// # Errors
 /// A file that cannot be read or contains no triangle; the message names it and the problem.
 pub fn mesh(path: &Path) -> Result<Mesh> {
-    let ending =
-        ending(path).ok_or_else(|| Error::file(path, format!("does not have a mesh file extension; known extensions: {}", ENDINGS.join(", "))))?;
+    let ending = ending(path).ok_or_else(|| {
+        Error::file(
+            path,
+            format!(
+                "does not have a mesh file extension; known extensions: {}",
+                ENDINGS.join(", ")
+            ),
+        )
+    })?;
     let bytes = input::unzipped_bytes(path, MAX_BYTES, "mesh")?;
     parse(&bytes, ending, Some(path)).map_err(|problem| Error::file(path, problem))
 }
@@ -84,14 +93,22 @@ pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, St
         _ => gifti::read(bytes),
     }?;
     if listing.unusable > 0 {
-        listing.warnings.push(format!("{} faces with fewer than three corners were left out", listing.unusable));
+        listing.warnings.push(format!(
+            "{} faces with fewer than three corners were left out",
+            listing.unusable
+        ));
     }
     if listing.triangles.len() > MAX_TRIANGLES {
-        return Err(format!("has {} triangles; at most {MAX_TRIANGLES} are read", listing.triangles.len()));
+        return Err(format!(
+            "has {} triangles; at most {MAX_TRIANGLES} are read",
+            listing.triangles.len()
+        ));
     }
     let count = listing.positions.len();
     if let Some(bad) = listing.triangles.iter().flatten().find(|&&v| v as usize >= count) {
-        return Err(format!("has a face that names vertex {bad} (counted from 0), but only {count} vertices"));
+        return Err(format!(
+            "has a face that names vertex {bad} (counted from 0), but only {count} vertices"
+        ));
     }
     let mesh = Mesh::new(listing.positions, listing.triangles, listing.warnings);
     if mesh.triangles.is_empty() {

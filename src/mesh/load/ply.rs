@@ -66,14 +66,26 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     for (name, element) in &header.elements {
         // An element takes at least one byte.
         if element.count > bytes.len() {
-            return Err(format!("declares {} elements \"{name}\", more than a file of {} bytes can hold", element.count, bytes.len()));
+            return Err(format!(
+                "declares {} elements \"{name}\", more than a file of {} bytes can hold",
+                element.count,
+                bytes.len()
+            ));
         }
-        let read = parser.read_payload_for_element(&mut reader, element, &header).map_err(|e| broken(&e))?;
+        let read = parser
+            .read_payload_for_element(&mut reader, element, &header)
+            .map_err(|e| broken(&e))?;
         match name.as_str() {
-            "vertex" => listing.positions = read.iter().map(|v| Vec3::from(v.point.map(|c| c as f32))).collect(),
+            "vertex" => {
+                listing.positions = read
+                    .iter()
+                    .map(|v| Vec3::from(v.point.map(|c| c as f32)))
+                    .collect()
+            }
             "face" => {
                 for face in read {
-                    let corners: Result<Vec<u32>, _> = face.corners.iter().map(|&c| u32::try_from(c)).collect();
+                    let corners: Result<Vec<u32>, _> =
+                        face.corners.iter().map(|&c| u32::try_from(c)).collect();
                     listing.face(&corners.map_err(|_| "has a face with a negative vertex number")?);
                 }
             }

@@ -10,21 +10,31 @@ const RECORD: usize = 50;
 
 pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let declared = bytes.get(80..HEADER).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
+    let declared = bytes
+        .get(80..HEADER)
+        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     // The length is the most reliable criterion: many binary files begin with "solid" too.
     if declared.is_some_and(|n| bytes.len() == HEADER + n * RECORD) {
         return Ok(binary(bytes));
     }
-    let is_text = bytes.trim_ascii_start().get(..5).is_some_and(|w| w.eq_ignore_ascii_case(b"solid"))
+    let is_text = bytes
+        .trim_ascii_start()
+        .get(..5)
+        .is_some_and(|w| w.eq_ignore_ascii_case(b"solid"))
         && bytes.windows(6).any(|w| w.eq_ignore_ascii_case(b"vertex"));
     if is_text {
         return text(&String::from_utf8_lossy(bytes));
     }
     let (Some(declared), true) = (declared, bytes.len() >= HEADER + RECORD) else {
-        return Err("is neither a text STL (no \"solid\" with vertices) nor long enough for a binary one".into());
+        return Err(
+            "is neither a text STL (no \"solid\" with vertices) nor long enough for a binary one".into(),
+        );
     };
     let mut listing = binary(bytes);
-    listing.warnings.push(format!("declares {declared} triangles and has room for {}; those were read", (bytes.len() - HEADER) / RECORD));
+    listing.warnings.push(format!(
+        "declares {declared} triangles and has room for {}; those were read",
+        (bytes.len() - HEADER) / RECORD
+    ));
     Ok(listing)
 }
 
@@ -32,9 +42,18 @@ fn binary(bytes: &[u8]) -> MeshFileContents {
     let mut listing = MeshFileContents::default();
     for record in bytes[HEADER..].chunks_exact(RECORD) {
         let first = listing.positions.len() as u32;
-        let value = |n: usize| f32::from_le_bytes([record[4 * n], record[4 * n + 1], record[4 * n + 2], record[4 * n + 3]]);
+        let value = |n: usize| {
+            f32::from_le_bytes([
+                record[4 * n],
+                record[4 * n + 1],
+                record[4 * n + 2],
+                record[4 * n + 3],
+            ])
+        };
         // The numbers after the normal.
-        listing.positions.extend((1..4).map(|v| Vec3::new(value(3 * v), value(3 * v + 1), value(3 * v + 2))));
+        listing
+            .positions
+            .extend((1..4).map(|v| Vec3::new(value(3 * v), value(3 * v + 1), value(3 * v + 2))));
         listing.triangles.push([first, first + 1, first + 2]);
     }
     listing
@@ -71,10 +90,14 @@ fn text(text: &str) -> Result<MeshFileContents, String> {
         listing.face(&face);
     }
     if polygons > 0 {
-        listing.warnings.push(format!("{polygons} faces with more than three corners were divided"));
+        listing.warnings.push(format!(
+            "{polygons} faces with more than three corners were divided"
+        ));
     }
     if !ended {
-        listing.warnings.push("ends without \"endsolid\"; it may be truncated".into());
+        listing
+            .warnings
+            .push("ends without \"endsolid\"; it may be truncated".into());
     }
     Ok(listing)
 }

@@ -84,7 +84,12 @@ pub struct Image {
 
 impl Image {
     /// A scalar image without further information.
-    pub fn new(format: &'static str, voxels: StoredValues, size: [usize; 3], world_from_voxel: DAffine3) -> Self {
+    pub fn new(
+        format: &'static str,
+        voxels: StoredValues,
+        size: [usize; 3],
+        world_from_voxel: DAffine3,
+    ) -> Self {
         Self {
             format,
             voxels,
@@ -129,9 +134,17 @@ impl Image {
             (self.voxels, colors) = (voxels, Some(rgb));
             (self.rescale, self.padding) = (Rescale::NONE, None);
         }
-        let mut volume = Volume::with_padding(Voxels::new(self.size, self.voxels), self.rescale, self.world_from_voxel, self.padding);
+        let mut volume = Volume::with_padding(
+            Voxels::new(self.size, self.voxels),
+            self.rescale,
+            self.world_from_voxel,
+            self.padding,
+        );
         if !(volume.range[1] - volume.range[0]).is_finite() {
-            return Err(Error::file(path, "holds values whose range cannot be represented; rescale it"));
+            return Err(Error::file(
+                path,
+                "holds values whose range cannot be represented; rescale it",
+            ));
         }
         volume.colors = colors;
         volume.components = components;
@@ -141,9 +154,16 @@ impl Image {
         volume.misplaced = self.misplaced;
         volume.details = self.details;
         // Text quoted from a file may contain control characters.
-        volume.warnings = self.warnings.into_iter().map(|w| w.replace(char::is_control, " ")).collect();
+        volume.warnings = self
+            .warnings
+            .into_iter()
+            .map(|w| w.replace(char::is_control, " "))
+            .collect();
         if volume.non_finite > 0 {
-            volume.warnings.push(format!("{} voxels are NaN or infinite and are rendered as empty", volume.non_finite));
+            volume.warnings.push(format!(
+                "{} voxels are NaN or infinite and are rendered as empty",
+                volume.non_finite
+            ));
         }
         if let Meaning::Labels(table) = self.meaning {
             volume.declared_labels = true;
@@ -202,7 +222,9 @@ impl Image {
                 let lengths = self.of_each_voxel(|[x, y, z, _]| DVec3::new(x, y, z).abs().length() as f32);
                 let directions = self.of_each_voxel(|[x, y, z, _]| {
                     let direction = DVec3::new(x, y, z).abs().normalize_or_zero();
-                    direction.to_array().map(|d| if d.is_finite() { (d * 255.0 + 0.5) as u8 } else { 0 })
+                    direction
+                        .to_array()
+                        .map(|d| if d.is_finite() { (d * 255.0 + 0.5) as u8 } else { 0 })
                 });
                 Ok((lengths.into(), Colors::rgb(directions.into_flattened())))
             }
@@ -210,7 +232,12 @@ impl Image {
                 self.warnings.push(format!("contains {c} channels, shown together in colour; use --channel (1 to {c}) to see the values of one"));
                 Ok(self.mixed_channels(&channel_styles))
             }
-            _ => Err(Error::file(path, format!("has {c} values per voxel, which cannot be shown together; choose one with --channel (1 to {c})"))),
+            _ => Err(Error::file(
+                path,
+                format!(
+                    "has {c} values per voxel, which cannot be shown together; choose one with --channel (1 to {c})"
+                ),
+            )),
         }
     }
 
@@ -225,7 +252,8 @@ impl Image {
         let (top, c) = (self.voxels.top(), self.components);
         let byte = |v: f64| (v / top * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
         if c == 3 {
-            self.of_each_voxel(|[r, g, b, _]| [r, g, b].map(byte)).into_flattened()
+            self.of_each_voxel(|[r, g, b, _]| [r, g, b].map(byte))
+                .into_flattened()
         } else {
             self.of_each_voxel(|rgba| rgba.map(byte)).into_flattened()
         }
@@ -235,20 +263,42 @@ impl Image {
     /// the brightest channel.
     fn mixed_channels(&self, styles: &[Channel]) -> (StoredValues, Colors) {
         let c = self.components;
-        let channels: Vec<Channel> = (0..c).map(|k| styles.get(k).cloned().unwrap_or(Channel { color: colors::CHANNELS[k], window: None })).collect();
-        let windows: Vec<[f64; 2]> = (0..c).map(|k| channels[k].window.unwrap_or_else(|| self.range_of(k))).collect();
+        let channels: Vec<Channel> = (0..c)
+            .map(|k| {
+                styles.get(k).cloned().unwrap_or(Channel {
+                    color: colors::CHANNELS[k],
+                    window: None,
+                })
+            })
+            .collect();
+        let windows: Vec<[f64; 2]> = (0..c)
+            .map(|k| channels[k].window.unwrap_or_else(|| self.range_of(k)))
+            .collect();
         let shares = |values: [f64; 4]| -> [f64; 4] {
             std::array::from_fn(|k| {
-                let Some([low, high]) = windows.get(k) else { return 0.0 };
+                let Some([low, high]) = windows.get(k) else {
+                    return 0.0;
+                };
                 let share = (values[k] - low) / (high - low).max(f64::MIN_POSITIVE);
-                if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
+                if share.is_finite() {
+                    share.clamp(0.0, 1.0)
+                } else {
+                    0.0
+                }
             })
         };
-        let brightest = self.of_each_voxel(|values| (shares(values).into_iter().fold(0.0, f64::max) * 255.0 + 0.5) as u8);
+        let brightest =
+            self.of_each_voxel(|values| (shares(values).into_iter().fold(0.0, f64::max) * 255.0 + 0.5) as u8);
         let mixed = self.of_each_voxel(|values| {
             let share = shares(values);
             std::array::from_fn::<u8, 3, _>(|b| {
-                channels.iter().zip(share).map(|(channel, s)| s * f64::from(channel.color[b])).sum::<f64>().min(255.0).round() as u8
+                channels
+                    .iter()
+                    .zip(share)
+                    .map(|(channel, s)| s * f64::from(channel.color[b]))
+                    .sum::<f64>()
+                    .min(255.0)
+                    .round() as u8
             })
         });
         (brightest.into(), Colors::rgb(mixed.into_flattened()))

@@ -8,7 +8,8 @@ use super::ScalarType;
 use super::image::Image;
 use super::nrrd::{last_bytes, numbered};
 use super::source::{
-    ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_held, count, open_file, read_error, sibling_file, skip, usable,
+    ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_held, count, open_file,
+    read_error, sibling_file, skip, usable,
 };
 use super::{ReadOptions, StoredValues};
 use crate::{Error, Result, Watch};
@@ -34,7 +35,9 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let frames = sizes.get(3).copied().unwrap_or(1);
     let time = choice.time_of(frames)?;
     if frames > 1 && choice.time.is_none() {
-        warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
+        warnings.push(format!(
+            "holds {frames} volumes; the first is used (--time chooses another)"
+        ));
     }
     let size: [usize; 3] = std::array::from_fn(|a| sizes.get(a).copied().unwrap_or(1));
     let components = header.components()?;
@@ -50,13 +53,19 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         frames,
         time,
         swap: scalar.bytes() > 1 && header.big_endian() != cfg!(target_endian = "big"),
-        text: header.get(&["binarydata"]).is_some_and(|t| t.eq_ignore_ascii_case("false")),
+        text: header
+            .get(&["binarydata"])
+            .is_some_and(|t| t.eq_ignore_ascii_case("false")),
         compressed: header.yes(&["compresseddata"]),
         local,
         header_size: header.header_size()?,
         watch,
     };
-    let pieces = if local { None } else { data_files(path, data, &mut reader)? };
+    let pieces = if local {
+        None
+    } else {
+        data_files(path, data, &mut reader)?
+    };
     let voxels = if let Some(files) = pieces {
         values.read_files(files)?
     } else if local {
@@ -88,13 +97,18 @@ impl<'a> Header<'a> {
         let mut line = Vec::new();
         loop {
             line.clear();
-            let read = reader.read_until(b'\n', &mut line).map_err(|e| read_error(path, e))?;
+            let read = reader
+                .read_until(b'\n', &mut line)
+                .map_err(|e| read_error(path, e))?;
             let text = String::from_utf8_lossy(&line);
             let Some((name, value)) = text.split_once('=') else {
                 if read > 0 && text.trim().is_empty() {
                     continue;
                 }
-                return Err(Error::file(path, "is not a MetaImage (its header has a line without \"=\", or ends before ElementDataFile)"));
+                return Err(Error::file(
+                    path,
+                    "is not a MetaImage (its header has a line without \"=\", or ends before ElementDataFile)",
+                ));
             };
             let name = name.trim().to_ascii_lowercase();
             let last = name == "elementdatafile";
@@ -117,18 +131,28 @@ impl<'a> Header<'a> {
 
     /// A required field.
     fn need(&self, name: &str) -> Result<&str> {
-        self.get(&[name]).ok_or_else(|| self.fail(format!("has no \"{name}\" in its header; it is not a MetaImage, or it is damaged")))
+        self.get(&[name]).ok_or_else(|| {
+            self.fail(format!(
+                "has no \"{name}\" in its header; it is not a MetaImage, or it is damaged"
+            ))
+        })
     }
 
     /// Whether the first of these fields that exists is true.
     fn yes(&self, names: &[&str]) -> bool {
-        self.get(names).is_some_and(|t| t.eq_ignore_ascii_case("true") || t == "1")
+        self.get(names)
+            .is_some_and(|t| t.eq_ignore_ascii_case("true") || t == "1")
     }
 
     /// At least `n` numbers from the first of these fields that exists.
     fn numbers(&self, names: &[&str], n: usize) -> Result<Option<Vec<f64>>> {
-        let Some(text) = self.get(names) else { return Ok(None) };
-        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite())).collect();
+        let Some(text) = self.get(names) else {
+            return Ok(None);
+        };
+        let numbers: Option<Vec<f64>> = text
+            .split_whitespace()
+            .map(|w| w.parse::<f64>().ok().filter(|v| v.is_finite()))
+            .collect();
         match numbers.filter(|v| v.len() >= n) {
             None => Err(self.fail(format!("has the invalid value \"{text}\" for {}", names[0]))),
             numbers => Ok(numbers),
@@ -142,7 +166,11 @@ impl<'a> Header<'a> {
             .split_whitespace()
             .map(|w| w.parse::<usize>().ok().filter(|&n| n > 0))
             .collect::<Option<_>>()
-            .ok_or_else(|| self.fail(format!("has the size \"{text}\", which is not a list of positive numbers")))?;
+            .ok_or_else(|| {
+                self.fail(format!(
+                    "has the size \"{text}\", which is not a list of positive numbers"
+                ))
+            })?;
         if !(1..=4).contains(&sizes.len()) {
             return Err(self.fail(format!("has {} axes; images of 1 to 3 can be read", sizes.len())));
         }
@@ -151,7 +179,9 @@ impl<'a> Header<'a> {
 
     /// Values per voxel.
     fn components(&self) -> Result<usize> {
-        let Some(text) = self.get(&["elementnumberofchannels"]) else { return Ok(1) };
+        let Some(text) = self.get(&["elementnumberofchannels"]) else {
+            return Ok(1);
+        };
         let components = text.parse::<usize>().ok().filter(|c| (1..=1024).contains(c));
         components.ok_or_else(|| self.fail(format!("has the invalid channel count \"{text}\"")))
     }
@@ -159,7 +189,8 @@ impl<'a> Header<'a> {
     /// Type of a value.
     fn scalar(&self) -> Result<ScalarType> {
         let name = self.need("elementtype")?;
-        scalar_type(name).ok_or_else(|| self.fail(format!("has the element type \"{name}\", which is not supported")))
+        scalar_type(name)
+            .ok_or_else(|| self.fail(format!("has the element type \"{name}\", which is not supported")))
     }
 
     /// Voxel indices to world millimetres for an image with `rank` axes.
@@ -169,12 +200,20 @@ impl<'a> Header<'a> {
         let matrix = self.numbers(&["transformmatrix", "rotation", "orientation"], rank * rank)?;
         let mut linear = DMat3::IDENTITY;
         for a in 0..rank.min(3) {
-            let direction =
-                matrix.as_ref().map_or(DVec3::AXES[a], |m| DVec3::from_array(std::array::from_fn(|c| if c < rank { m[a * rank + c] } else { 0.0 })));
+            let direction = matrix.as_ref().map_or(DVec3::AXES[a], |m| {
+                DVec3::from_array(std::array::from_fn(
+                    |c| if c < rank { m[a * rank + c] } else { 0.0 },
+                ))
+            });
             *linear.col_mut(a) = direction * spacing.as_ref().map_or(1.0, |s| s[a].abs());
         }
-        let translation = origin.map_or(DVec3::ZERO, |o| DVec3::from_array(std::array::from_fn(|c| if c < rank { o[c] } else { 0.0 })));
-        let world_from_voxel = DAffine3 { matrix3: linear, translation };
+        let translation = origin.map_or(DVec3::ZERO, |o| {
+            DVec3::from_array(std::array::from_fn(|c| if c < rank { o[c] } else { 0.0 }))
+        });
+        let world_from_voxel = DAffine3 {
+            matrix3: linear,
+            translation,
+        };
         if !usable(&world_from_voxel) {
             return Err(self.fail("has singular axes; its geometry cannot be used".into()));
         }
@@ -188,7 +227,9 @@ impl<'a> Header<'a> {
 
     /// Bytes before the values in a data file; -1 means that the values are at the file's end.
     fn header_size(&self) -> Result<i64> {
-        self.get(&["headersize"]).map_or(Ok(0i64), str::parse).map_err(|_| self.fail("has a HeaderSize that is not a number".into()))
+        self.get(&["headersize"])
+            .map_or(Ok(0i64), str::parse)
+            .map_err(|_| self.fail("has a HeaderSize that is not a number".into()))
     }
 }
 
@@ -224,22 +265,43 @@ impl ValueLayout<'_> {
 
     /// Reads the binary values at the reader's position.
     fn read_binary(&self, path: &Path, reader: impl Read) -> Result<StoredValues> {
-        ValueReader { path, reader, swap: self.swap, count: self.count, watch: self.watch }.read_as(self.scalar)
+        ValueReader {
+            path,
+            reader,
+            swap: self.swap,
+            count: self.count,
+            watch: self.watch,
+        }
+        .read_as(self.scalar)
     }
 
     /// Reads values divided evenly among several files.
     fn read_files(&self, files: Vec<PathBuf>) -> Result<StoredValues> {
         let path = self.path;
-        let total = self.count.checked_mul(self.frames).filter(|n| n.is_multiple_of(files.len()) && !self.text && self.header_size <= 0);
-        let total =
-            total.ok_or_else(|| Error::file(path, format!("names {} data files, which cannot hold equal parts of its values", files.len())))?;
+        let total = self
+            .count
+            .checked_mul(self.frames)
+            .filter(|n| n.is_multiple_of(files.len()) && !self.text && self.header_size <= 0);
+        let total = total.ok_or_else(|| {
+            Error::file(
+                path,
+                format!(
+                    "names {} data files, which cannot hold equal parts of its values",
+                    files.len()
+                ),
+            )
+        })?;
         let piece = (total / files.len() * self.scalar.bytes()) as u64;
         let mut most = 0u64;
         for file in &files {
             most = most.saturating_add(open_file(file)?.1);
         }
         let ahead = self.bytes_ahead();
-        check_held(path, ahead.saturating_add(self.bytes()), most.saturating_mul(if self.compressed { DEFLATE_LIMIT } else { 1 }))?;
+        check_held(
+            path,
+            ahead.saturating_add(self.bytes()),
+            most.saturating_mul(if self.compressed { DEFLATE_LIMIT } else { 1 }),
+        )?;
         let open: OpenPiece = match (self.compressed, self.header_size) {
             (true, _) => |p, _| Ok(Box::new(ZlibDecoder::new(buffered(p)?.0))),
             (false, -1) => last_bytes,
@@ -255,11 +317,27 @@ impl ValueLayout<'_> {
     fn read_file(&self, file: &Path, mut reader: BufReader<File>, file_bytes: u64) -> Result<StoredValues> {
         let (bytes, ahead) = (self.bytes(), self.bytes_ahead());
         if self.text {
-            check_held(file, (ahead / self.scalar.bytes() as u64 + self.count as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
-            return super::text::values(file, reader, [self.count * self.time, self.count], self.scalar, self.watch);
+            check_held(
+                file,
+                (ahead / self.scalar.bytes() as u64 + self.count as u64)
+                    .saturating_mul(2)
+                    .saturating_sub(1),
+                file_bytes,
+            )?;
+            return super::text::values(
+                file,
+                reader,
+                [self.count * self.time, self.count],
+                self.scalar,
+                self.watch,
+            );
         }
         if self.compressed {
-            check_held(file, ahead.saturating_add(bytes), file_bytes.saturating_mul(DEFLATE_LIMIT))?;
+            check_held(
+                file,
+                ahead.saturating_add(bytes),
+                file_bytes.saturating_mul(DEFLATE_LIMIT),
+            )?;
             let mut decoder = ZlibDecoder::new(reader);
             skip(file, &mut decoder, ahead)?;
             return self.read_binary(file, decoder);
@@ -286,23 +364,39 @@ fn data_files(path: &Path, data: &str, reader: &mut impl BufRead) -> Result<Opti
     let words: Vec<&str> = data.split_whitespace().collect();
     let names = if words.first().is_some_and(|w| w.eq_ignore_ascii_case("list")) {
         let mut text = String::new();
-        reader.take(MAX_HEADER_BYTES).read_to_string(&mut text).map_err(|_| fail("has a list of data files that is not text in UTF-8".into()))?;
-        text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()
+        reader
+            .take(MAX_HEADER_BYTES)
+            .read_to_string(&mut text)
+            .map_err(|_| fail("has a list of data files that is not text in UTF-8".into()))?;
+        text.lines()
+            .map(str::trim)
+            .filter(|l| !l.is_empty())
+            .map(str::to_owned)
+            .collect()
     } else if let [pattern, first, last, rest @ ..] = &words[..]
         && pattern.contains('%')
     {
         let step = rest.first().map_or(Ok(1), |w| w.parse());
         let (Ok(first), Ok(last), Ok(step)) = (first.parse(), last.parse(), step) else {
-            return Err(fail(format!("has an invalid pattern of data files: \"{data}\"; it must be PATTERN FIRST LAST STEP")));
+            return Err(fail(format!(
+                "has an invalid pattern of data files: \"{data}\"; it must be PATTERN FIRST LAST STEP"
+            )));
         };
         numbered(pattern, first, last, step).map_err(fail)?
     } else {
         return Ok(None);
     };
     if names.is_empty() || names.len() > MAX_FILES {
-        return Err(fail(format!("names {} data files; 1 to {MAX_FILES} can be read", names.len())));
+        return Err(fail(format!(
+            "names {} data files; 1 to {MAX_FILES} can be read",
+            names.len()
+        )));
     }
-    names.iter().map(|n: &String| sibling_file(path, n.trim())).collect::<Result<Vec<_>>>().map(Some)
+    names
+        .iter()
+        .map(|n: &String| sibling_file(path, n.trim()))
+        .collect::<Result<Vec<_>>>()
+        .map(Some)
 }
 
 /// The scalar type with a MetaIO name.

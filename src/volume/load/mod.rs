@@ -92,7 +92,11 @@ impl FileFormat {
 
     /// By the first bytes of a file, uncompressed; none if they are ambiguous.
     fn of_start(start: &[u8]) -> Option<Self> {
-        let header = |at: usize| start.get(at..at + 4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        let header = |at: usize| {
+            start
+                .get(at..at + 4)
+                .map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        };
         let xml = String::from_utf8_lossy(&start[..start.len().min(512)]).into_owned();
         Some(match () {
             () if dicom::is_dicom(start) => Self::Dicom,
@@ -100,13 +104,22 @@ impl FileFormat {
             () if start.starts_with(b"ObjectType") || start.starts_with(b"NDims") => Self::MetaImage,
             () if xml.trim_start().starts_with('<') && xml.contains("<VTKFile") => Self::Vti,
             () if start.starts_with(b"# vtk DataFile") => Self::Vtk,
-            () if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") || start.starts_with(b"II+\0") || start.starts_with(b"MM\0+") => {
+            () if start.starts_with(b"II*\0")
+                || start.starts_with(b"MM\0*")
+                || start.starts_with(b"II+\0")
+                || start.starts_with(b"MM\0+") =>
+            {
                 Self::Tiff
             }
             () if start.starts_with(b"\x89PNG") || start.starts_with(&[0xff, 0xd8, 0xff]) => Self::Picture,
             () if start.starts_with(b"\x93NUMPY") => Self::Npy,
             () if start.starts_with(b"PK\x03\x04") => Self::Zip,
-            () if header(0).is_some_and(|n| [348, 540].contains(&n) || [348, 540].contains(&n.swap_bytes())) && start.len() >= 348 => Self::Nifti,
+            () if header(0)
+                .is_some_and(|n| [348, 540].contains(&n) || [348, 540].contains(&n.swap_bytes()))
+                && start.len() >= 348 =>
+            {
+                Self::Nifti
+            }
             () => return None,
         })
     }
@@ -136,12 +149,19 @@ pub fn image(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
 
 fn by_kind(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let image = by_format(path, choice, watch)?;
-    let only = |name: &str, of: &str| Err(Error::value(name, format!("applies to {of}, but {} is {}", path.display(), image.format)));
+    let only = |name: &str, of: &str| {
+        Err(Error::value(
+            name,
+            format!("applies to {of}, but {} is {}", path.display(), image.format),
+        ))
+    };
     match () {
         () if image.format == "DICOM" => {}
         () if choice.series.is_some() => return only("series", "DICOM"),
         () if choice.resample => return only("resample", "DICOM series"),
-        () if choice.level.is_some() && !image.format.starts_with("OME-Zarr") => return only("level", "OME-Zarr"),
+        () if choice.level.is_some() && !image.format.starts_with("OME-Zarr") => {
+            return only("level", "OME-Zarr");
+        }
         () => {}
     }
     Ok(image)
@@ -152,12 +172,21 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
     if metadata.is_dir() {
         return folder(path, choice, watch);
     }
-    if matches!(path.file_name().and_then(|n| n.to_str()), Some(".zattrs" | ".zgroup" | ".zarray" | "zarr.json")) {
+    if matches!(
+        path.file_name().and_then(|n| n.to_str()),
+        Some(".zattrs" | ".zgroup" | ".zarray" | "zarr.json")
+    ) {
         return zarr::read(path.parent().unwrap_or(Path::new("")), choice, watch);
     }
-    if path.file_name().is_some_and(|n| n.eq_ignore_ascii_case("DICOMDIR")) {
+    if path
+        .file_name()
+        .is_some_and(|n| n.eq_ignore_ascii_case("DICOMDIR"))
+    {
         // The folder contains the files that the DICOMDIR lists.
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = path
+            .parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new("."));
         return dicom::read(folder, choice, watch);
     }
     if metadata.is_file() && metadata.len() == 0 {
@@ -187,13 +216,24 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
     match (by_name, by_start) {
         // Raw values may resemble any format; the second file of a pair contains only values.
         (Some(FileFormat::Raw), _) => Ok(FileFormat::Raw),
-        (Some(FileFormat::Nifti), Some(_)) if path.to_string_lossy().to_ascii_lowercase().contains(".img") => Ok(FileFormat::Nifti),
-        (Some(name), Some(start)) if name != start => {
-            Err(Error::file(path, format!("does not match its extension; its content is {}; rename it", start.called())))
+        (Some(FileFormat::Nifti), Some(_))
+            if path.to_string_lossy().to_ascii_lowercase().contains(".img") =>
+        {
+            Ok(FileFormat::Nifti)
         }
+        (Some(name), Some(start)) if name != start => Err(Error::file(
+            path,
+            format!(
+                "does not match its extension; its content is {}; rename it",
+                start.called()
+            ),
+        )),
         (Some(name), _) => Ok(name),
         (None, Some(start)) => Ok(start),
-        (None, None) => Err(Error::file(path, format!("has an unsupported format; supported: {FORMATS}"))),
+        (None, None) => Err(Error::file(
+            path,
+            format!("has an unsupported format; supported: {FORMATS}"),
+        )),
     }
 }
 
@@ -211,9 +251,14 @@ fn folder(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 
 /// Whether a file, existing or not, would be read as part of its folder.
 pub fn is_part_of(folder: &Path, file: &Path) -> bool {
-    let direct = file.parent().is_some_and(|p| p.canonicalize().ok() == folder.canonicalize().ok());
+    let direct = file
+        .parent()
+        .is_some_and(|p| p.canonicalize().ok() == folder.canonicalize().ok());
     let dicom = source::first_bytes(file, START).is_ok_and(|start| dicom::is_dicom(&start));
-    dicom || direct && slices::is_picture(file) && slices::pictures(folder).is_ok_and(|p| p.iter().any(|p| p.file_name() != file.file_name()))
+    dicom
+        || direct
+            && slices::is_picture(file)
+            && slices::pictures(folder).is_ok_and(|p| p.iter().any(|p| p.file_name() != file.file_name()))
 }
 
 /// The DICOM series in a file, folder or zip, the largest first; none if it is not DICOM.
@@ -228,7 +273,12 @@ pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<Se
     }
     // If it cannot be opened, the reader will report that.
     let holds = path.is_dir()
-        || source::first_bytes(path, START).is_ok_and(|start| matches!(FileFormat::of_start(&start), Some(FileFormat::Dicom | FileFormat::Zip)));
+        || source::first_bytes(path, START).is_ok_and(|start| {
+            matches!(
+                FileFormat::of_start(&start),
+                Some(FileFormat::Dicom | FileFormat::Zip)
+            )
+        });
     match holds.then(|| dicom::list(path, patient, watch)) {
         Some(Ok(list)) => Ok(Some(list)),
         Some(Err(Error::Cancelled)) => Err(Error::Cancelled),

@@ -32,10 +32,17 @@ const HEADER_BYTES: [usize; 2] = [348, 540];
 
 /// Reads an image with all its components, or one volume of a time series.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let name = path
+        .file_name()
+        .map(|n| n.to_string_lossy().into_owned())
+        .unwrap_or_default();
     let (header_path, data_path) = match name.to_ascii_lowercase().as_str() {
-        n if n.ends_with(".img") || n.ends_with(".img.gz") => (partner(path, &name, "img", "hdr")?, Some(path.to_owned())),
-        n if n.ends_with(".hdr") || n.ends_with(".hdr.gz") => (path.to_owned(), Some(partner(path, &name, "hdr", "img")?)),
+        n if n.ends_with(".img") || n.ends_with(".img.gz") => {
+            (partner(path, &name, "img", "hdr")?, Some(path.to_owned()))
+        }
+        n if n.ends_with(".hdr") || n.ends_with(".hdr.gz") => {
+            (path.to_owned(), Some(partner(path, &name, "hdr", "img")?))
+        }
         _ => (path.to_owned(), None),
     };
     let (mut reader, max_bytes) = open(&header_path)?;
@@ -45,18 +52,29 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             let (reader, max_bytes) = open(&data)?;
             header.image(&data, reader, max_bytes, 0, choice, watch)
         }
-        (None, true) => {
-            Err(Error::file(path, "is the header of a .hdr/.img pair under another name; rename it to .hdr, in the same folder as its .img"))
-        }
+        (None, true) => Err(Error::file(
+            path,
+            "is the header of a .hdr/.img pair under another name; rename it to .hdr, in the same folder as its .img",
+        )),
         // A single file with one of the pair's names.
-        (_, false) => header.image(&header_path, reader, max_bytes, header.bytes.len() as u64, choice, watch),
+        (_, false) => header.image(
+            &header_path,
+            reader,
+            max_bytes,
+            header.bytes.len() as u64,
+            choice,
+            watch,
+        ),
     }
 }
 
 /// The other file of a pair: the same name with the other extension in either case, gzipped or not.
 fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     let at = name.to_ascii_lowercase().rfind(own).unwrap_or(name.len());
-    let other_case = if name.get(at..at + own.len()).is_some_and(|e| e.chars().all(|c| c.is_ascii_uppercase())) {
+    let other_case = if name
+        .get(at..at + own.len())
+        .is_some_and(|e| e.chars().all(|c| c.is_ascii_uppercase()))
+    {
         other.to_ascii_uppercase()
     } else {
         other.to_owned()
@@ -64,7 +82,12 @@ fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     let stem = name.get(..at).unwrap_or(name);
     let candidates = [format!("{stem}{other_case}"), format!("{stem}{other_case}.gz")];
     let there = candidates.iter().find(|name| path.with_file_name(name).exists());
-    let missing = || Error::file(path, format!("needs the file {stem}{other_case} in the same folder, which is missing"));
+    let missing = || {
+        Error::file(
+            path,
+            format!("needs the file {stem}{other_case} in the same folder, which is missing"),
+        )
+    };
     super::source::sibling_file(path, there.ok_or_else(missing)?)
 }
 
@@ -94,7 +117,12 @@ impl Header {
             (_, 348) => (false, true),
             (540, _) => (true, false),
             (_, 540) => (true, true),
-            _ => return Err(Error::file(path, format!("is not a NIfTI file (header size {size} instead of 348 or 540)"))),
+            _ => {
+                return Err(Error::file(
+                    path,
+                    format!("is not a NIfTI file (header size {size} instead of 348 or 540)"),
+                ));
+            }
         };
         let version = if two {
             let mut rest = vec![0u8; HEADER_BYTES[1] - HEADER_BYTES[0]];
@@ -110,9 +138,19 @@ impl Header {
             b"ni1\0" | b"ni2\0" => (version, true),
             // Analyze has no magic number; it has an unused field there.
             _ if !two && bytes[344..348].iter().all(|b| *b == 0) => (Version::Analyze, true),
-            other => return Err(Error::file(path, format!("is not a NIfTI file (magic {:?})", String::from_utf8_lossy(other)))),
+            other => {
+                return Err(Error::file(
+                    path,
+                    format!("is not a NIfTI file (magic {:?})", String::from_utf8_lossy(other)),
+                ));
+            }
         };
-        Ok(Self { bytes, swap, version, paired })
+        Ok(Self {
+            bytes,
+            swap,
+            version,
+            paired,
+        })
     }
 
     fn field<const N: usize>(&self, at: usize) -> [u8; N] {
@@ -148,11 +186,23 @@ impl Header {
     }
 
     fn intent(&self) -> i16 {
-        if self.version == Version::Analyze { 0 } else { self.integer(68, 504, 4) as i16 }
+        if self.version == Version::Analyze {
+            0
+        } else {
+            self.integer(68, 504, 4) as i16
+        }
     }
 
     /// The image whose values `reader` continues with, after `passed` bytes of their file.
-    fn image(&self, path: &Path, mut reader: impl Read, max_bytes: u64, passed: u64, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
+    fn image(
+        &self,
+        path: &Path,
+        mut reader: impl Read,
+        max_bytes: u64,
+        passed: u64,
+        choice: &ReadOptions,
+        watch: &Watch,
+    ) -> Result<Image> {
         let fail = |problem: String| Error::file(path, problem);
         let mut warnings = Vec::new();
         let dim = self.dimensions().map_err(&fail)?;
@@ -160,11 +210,15 @@ impl Header {
         let (components, frames) = self.components_and_frames(&dim).map_err(&fail)?;
         let time = choice.time_of(frames)?;
         if frames > 1 && choice.time.is_none() {
-            warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
+            warnings.push(format!(
+                "holds {frames} volumes; the first is used (--time chooses another)"
+            ));
         }
         let (scalar, colors) = self.value_type().map_err(&fail)?;
         if colors > 1 && components > 1 {
-            return Err(fail(format!("holds {components} colours per voxel; a single one is needed")));
+            return Err(fail(format!(
+                "holds {components} colours per voxel; a single one is needed"
+            )));
         }
         let total = count(path, &[size[0], size[1], size[2], components, colors], scalar)?;
         let bytes = (total * scalar.bytes()) as u64;
@@ -172,7 +226,13 @@ impl Header {
         let ahead = offset.saturating_add(bytes.saturating_mul(time as u64));
         check_held(path, bytes.saturating_add(ahead), max_bytes)?;
         skip(path, &mut reader, ahead - passed)?;
-        let mut source = ValueReader { path, reader, swap: self.swap != cfg!(target_endian = "big"), count: total, watch };
+        let mut source = ValueReader {
+            path,
+            reader,
+            swap: self.swap != cfg!(target_endian = "big"),
+            count: total,
+            watch,
+        };
         let voxels = source.read_as(scalar)?;
         if time + 1 == frames {
             check_end(path, source.reader)?;
@@ -180,8 +240,16 @@ impl Header {
         let (rescale, world_from_voxel) = (self.rescale(&mut warnings), self.geometry(&mut warnings));
         let mut image = Image::new(self.format_name(), voxels, size, world_from_voxel);
         (image.components, image.rescale, image.intent) = (components * colors, rescale, self.intent());
-        image.meaning = if colors > 1 { Meaning::Color } else { self.meaning(components, scalar) };
-        image.layout = if colors > 1 { Layout::Interleaved } else { Layout::Planar };
+        image.meaning = if colors > 1 {
+            Meaning::Color
+        } else {
+            self.meaning(components, scalar)
+        };
+        image.layout = if colors > 1 {
+            Layout::Interleaved
+        } else {
+            Layout::Planar
+        };
         image.warnings = warnings;
         if frames > 1 {
             image.details.push(("time_points", json!(frames)));
@@ -200,9 +268,15 @@ impl Header {
         // fourth.
         let colors_by_axis = INTENT_RGB.contains(&self.intent()) && (3..=4).contains(&dim[3]);
         let along_fourth = (self.is_fsl() || colors_by_axis) && dim[4] == 1;
-        let (components, frames) = if along_fourth { (dim[3], 1) } else { (dim[4], dim[3] * dim[5] * dim[6]) };
+        let (components, frames) = if along_fourth {
+            (dim[3], 1)
+        } else {
+            (dim[4], dim[3] * dim[5] * dim[6])
+        };
         if frames > 1 && components > 1 {
-            return Err(format!("has {components} values per voxel at {frames} time points; only one time point is supported; split it by time"));
+            return Err(format!(
+                "has {components} values per voxel at {frames} time points; only one time point is supported; split it by time"
+            ));
         }
         Ok((components, frames))
     }
@@ -214,7 +288,10 @@ impl Header {
             2304 => Ok((ScalarType::U8, 4)),
             code => match scalar_type(code) {
                 Some(scalar) => Ok((scalar, 1)),
-                None => Err(format!("stores {}, which cannot be rendered; convert it to a real scalar type", datatype_name(code))),
+                None => Err(format!(
+                    "stores {}, which cannot be rendered; convert it to a real scalar type",
+                    datatype_name(code)
+                )),
             },
         }
     }
@@ -223,7 +300,12 @@ impl Header {
     fn meaning(&self, components: usize, scalar: ScalarType) -> Meaning {
         match self.intent() {
             // Floating-point colours are directions.
-            i if INTENT_RGB.contains(&i) && components == 3 && matches!(scalar, ScalarType::F32 | ScalarType::F64) => Meaning::Vectors,
+            i if INTENT_RGB.contains(&i)
+                && components == 3
+                && matches!(scalar, ScalarType::F32 | ScalarType::F64) =>
+            {
+                Meaning::Vectors
+            }
             i if INTENT_RGB.contains(&i) && (3..=4).contains(&components) => Meaning::Color,
             INTENT_LABEL => Meaning::Labels(Vec::new()),
             i if INTENT_VECTOR.contains(&i) || self.is_fsl() => Meaning::Vectors,
@@ -245,15 +327,25 @@ impl Header {
     /// Offset of the voxels in their file, after `passed` bytes of header or none.
     fn data_offset(&self, passed: u64) -> u64 {
         let least = if self.paired { 0 } else { passed + 4 };
-        let stated = if self.version == Version::Two { self.integer(0, 168, 8) as f64 } else { self.number(108, 168, 0) };
-        if stated.is_finite() && (least as f64..1e15).contains(&stated) { stated as u64 } else { least }
+        let stated = if self.version == Version::Two {
+            self.integer(0, 168, 8) as f64
+        } else {
+            self.number(108, 168, 0)
+        };
+        if stated.is_finite() && (least as f64..1e15).contains(&stated) {
+            stated as u64
+        } else {
+            least
+        }
     }
 
     /// The seven extents; undeclared ones are 1.
     fn dimensions(&self) -> Result<[usize; 7], String> {
         let rank = self.integer(40, 16, 8);
         if !(1..=7).contains(&rank) {
-            return Err(format!("declares {rank} dimensions; NIfTI allows 1 to 7, so its header is damaged"));
+            return Err(format!(
+                "declares {rank} dimensions; NIfTI allows 1 to 7, so its header is damaged"
+            ));
         }
         let mut dim = [1usize; 7];
         for (n, d) in dim.iter_mut().enumerate().take(rank as usize) {
@@ -262,10 +354,18 @@ impl Header {
             *d = match usize::try_from(value) {
                 Ok(0) if n >= 3 => 1,
                 Ok(v) if v > 0 => v,
-                _ => return Err(format!("declares {value} voxels along axis {}; its header is damaged", n + 1)),
+                _ => {
+                    return Err(format!(
+                        "declares {value} voxels along axis {}; its header is damaged",
+                        n + 1
+                    ));
+                }
             };
         }
-        dim[3..].iter().try_fold(1usize, |n, &d| n.checked_mul(d)).ok_or("declares an impossible number of volumes; its header is damaged")?;
+        dim[3..]
+            .iter()
+            .try_fold(1usize, |n, &d| n.checked_mul(d))
+            .ok_or("declares an impossible number of volumes; its header is damaged")?;
         Ok(dim)
     }
 
@@ -277,14 +377,24 @@ impl Header {
         }
         let (slope, intercept) = (self.number(112, 176, 0), self.number(116, 184, 0));
         if !slope.is_finite() || !intercept.is_finite() {
-            warnings.push(format!("its rescale slope {slope} and intercept {intercept} are not finite; stored values are used"));
+            warnings.push(format!(
+                "its rescale slope {slope} and intercept {intercept} are not finite; stored values are used"
+            ));
             return Rescale::NONE;
         }
-        if slope == 0.0 { Rescale::NONE } else { Rescale { slope, intercept } }
+        if slope == 0.0 {
+            Rescale::NONE
+        } else {
+            Rescale { slope, intercept }
+        }
     }
 
     fn geometry(&self, warnings: &mut Vec<String>) -> DAffine3 {
-        let units = if self.version == Version::Two { self.field::<4>(500)[0] } else { self.bytes[123] };
+        let units = if self.version == Version::Two {
+            self.field::<4>(500)[0]
+        } else {
+            self.bytes[123]
+        };
         let mm = match units & 7 {
             1 => 1000.0,
             3 => 0.001,
@@ -296,7 +406,10 @@ impl Header {
             if s.is_finite() && s != 0.0 {
                 spacing[axis] = s.abs();
             } else {
-                warnings.push(format!("its spacing along axis {} is {s}; 1 mm is used", axis + 1));
+                warnings.push(format!(
+                    "its spacing along axis {} is {s}; 1 mm is used",
+                    axis + 1
+                ));
             }
         }
         let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
@@ -304,12 +417,16 @@ impl Header {
             warnings.push("is in Analyze format, which does not state left and right; its first axis is assumed to run from right to left".into());
             return lps_from_ras * DAffine3::from_scale(spacing * DVec3::new(-1.0, 1.0, 1.0));
         }
-        let usable = |t: &DAffine3| t.is_finite() && t.matrix3.determinant().abs() > 1e-12 * spacing.element_product();
+        let usable =
+            |t: &DAffine3| t.is_finite() && t.matrix3.determinant().abs() > 1e-12 * spacing.element_product();
         let sform = (self.integer(254, 348, 4) > 0).then(|| {
             let row = |n: usize| [0, 1, 2, 3].map(|c| self.number(280, 400, 4 * n + c));
             let r = [row(0), row(1), row(2)];
             let column = |c: usize| DVec3::new(r[0][c], r[1][c], r[2][c]);
-            DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+            DAffine3 {
+                matrix3: DMat3::from_cols(column(0), column(1), column(2)),
+                translation: column(3),
+            }
         });
         let qform = (self.integer(252, 344, 4) > 0).then(|| {
             let quaternion = |n: usize| self.number(256, 352, n);
@@ -330,7 +447,11 @@ impl Header {
             qform.filter(&usable)
         });
         let ras_from_voxel = ras_from_voxel.unwrap_or_else(|| {
-            let why = if stated { "no usable orientation" } else { "no orientation" };
+            let why = if stated {
+                "no usable orientation"
+            } else {
+                "no orientation"
+            };
             warnings.push(format!("has {why}: right, anterior, superior axes are assumed"));
             DAffine3::from_scale(spacing)
         });
@@ -338,7 +459,8 @@ impl Header {
         if super::source::usable(&world_from_voxel) {
             return world_from_voxel;
         }
-        warnings.push("has an unusable geometry; 1 mm voxels along right, anterior, superior are assumed".into());
+        warnings
+            .push("has an unusable geometry; 1 mm voxels along right, anterior, superior are assumed".into());
         DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0))
     }
 }

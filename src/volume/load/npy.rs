@@ -37,7 +37,9 @@ impl Header {
         }
         let mut length = [0u8; 4];
         let width = if start[6] == 1 { 2 } else { 4 };
-        reader.read_exact(&mut length[..width]).map_err(|e| read_error(path, e))?;
+        reader
+            .read_exact(&mut length[..width])
+            .map_err(|e| read_error(path, e))?;
         let length = u32::from_le_bytes(length) as usize;
         if length > MAX_HEADER_BYTES {
             return Err(fail(format!("has a header of {length} bytes; it is damaged")));
@@ -49,11 +51,20 @@ impl Header {
 
     /// Parses the text of a header, a Python dictionary.
     fn parse(text: &str) -> Result<Self, String> {
-        let entry = |name: &str| text.split_once(&format!("'{name}'")).and_then(|(_, rest)| Some(rest.split_once(':')?.1.trim()));
+        let entry = |name: &str| {
+            text.split_once(&format!("'{name}'"))
+                .and_then(|(_, rest)| Some(rest.split_once(':')?.1.trim()))
+        };
         let unclear = || "has a header that cannot be read; it is damaged".to_owned();
-        let descr = entry("descr").and_then(|t| t.strip_prefix('\'')?.split_once('\'')).ok_or_else(unclear)?.0;
+        let descr = entry("descr")
+            .and_then(|t| t.strip_prefix('\'')?.split_once('\''))
+            .ok_or_else(unclear)?
+            .0;
         let fortran = entry("fortran_order").ok_or_else(unclear)?.starts_with("True");
-        let shape = entry("shape").and_then(|t| t.strip_prefix('(')?.split_once(')')).ok_or_else(unclear)?.0;
+        let shape = entry("shape")
+            .and_then(|t| t.strip_prefix('(')?.split_once(')'))
+            .ok_or_else(unclear)?
+            .0;
         let mut extents: Vec<usize> = shape
             .split(',')
             .map(str::trim)
@@ -73,24 +84,42 @@ impl Header {
             "i8" => ScalarType::I64,
             "f4" => ScalarType::F32,
             "f8" => ScalarType::F64,
-            _ => return Err(format!("stores \"{descr}\", which cannot be rendered; convert it to a real scalar type")),
+            _ => {
+                return Err(format!(
+                    "stores \"{descr}\", which cannot be rendered; convert it to a real scalar type"
+                ));
+            }
         };
         let swap = scalar.bytes() > 1 && (order == ">") != cfg!(target_endian = "big");
         if !fortran {
             extents.reverse();
         }
-        Ok(Self { scalar, swap, extents })
+        Ok(Self {
+            scalar,
+            swap,
+            extents,
+        })
     }
 }
 
 /// Reads an array.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let (mut reader, file_bytes) = buffered(path)?;
-    let Header { scalar, swap, mut extents } = Header::read(path, &mut reader)?;
+    let Header {
+        scalar,
+        swap,
+        mut extents,
+    } = Header::read(path, &mut reader)?;
     let colors = extents.len() == 4 && scalar == ScalarType::U8 && (3..=4).contains(&extents[0]);
     let components = if colors { extents.remove(0) } else { 1 };
     if !(1..=4).contains(&extents.len()) {
-        return Err(Error::file(path, format!("has {} axes; arrays of 1 to 3, and one of time, can be read", extents.len())));
+        return Err(Error::file(
+            path,
+            format!(
+                "has {} axes; arrays of 1 to 3, and one of time, can be read",
+                extents.len()
+            ),
+        ));
     }
     let size: [usize; 3] = std::array::from_fn(|a| extents.get(a).copied().unwrap_or(1));
     let frames = extents.get(3).copied().unwrap_or(1);
@@ -100,15 +129,26 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let ahead = bytes.saturating_mul(time as u64);
     check_held(path, bytes.saturating_add(ahead), file_bytes)?;
     skip(path, &mut reader, ahead)?;
-    let voxels = ValueReader { path, reader, swap, count: total, watch }.read_as(scalar)?;
+    let voxels = ValueReader {
+        path,
+        reader,
+        swap,
+        count: total,
+        watch,
+    }
+    .read_as(scalar)?;
     let mut image = Image::new("NumPy", voxels, size, DAffine3::IDENTITY);
     (image.components, image.layout) = (components, Layout::Interleaved);
     if choice.spacing.is_none() {
-        image.warnings.push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
+        image
+            .warnings
+            .push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
     if frames > 1 {
         if choice.time.is_none() {
-            image.warnings.push(format!("holds {frames} volumes; the first is used (--time chooses another)"));
+            image.warnings.push(format!(
+                "holds {frames} volumes; the first is used (--time chooses another)"
+            ));
         }
         image.details.push(("time_points", json!(frames)));
     }

@@ -25,11 +25,18 @@ impl ImageStack {
             None => {
                 (self.size, self.components) = (plane.size, plane.components);
                 let mut values = plane.values;
-                values.reserve(plane.size[0].saturating_mul(plane.size[1]).saturating_mul(plane.components).saturating_mul(of.saturating_sub(1)));
+                values.reserve(
+                    plane.size[0]
+                        .saturating_mul(plane.size[1])
+                        .saturating_mul(plane.components)
+                        .saturating_mul(of.saturating_sub(1)),
+                );
                 self.values = Some(values);
             }
             Some(values) => {
-                if (self.size, self.components) != (plane.size, plane.components) || !values.append(&plane.values) {
+                if (self.size, self.components) != (plane.size, plane.components)
+                    || !values.append(&plane.values)
+                {
                     return false;
                 }
             }

@@ -26,12 +26,18 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     };
     let direction = DMat3::from_cols_array_2d(&layout.direction).transpose();
     let linear = direction * DMat3::from_diagonal(DVec3::from(layout.spacing_mm));
-    let world_from_voxel = DAffine3 { matrix3: linear, translation: DVec3::from(layout.origin_mm) };
+    let world_from_voxel = DAffine3 {
+        matrix3: linear,
+        translation: DVec3::from(layout.origin_mm),
+    };
     if !usable(&world_from_voxel) {
         return Err(fail("has a degenerate spacing or direction in its layout".into()));
     }
     if layout.size.contains(&0) || !(1..=1024).contains(&layout.components) {
-        return Err(fail(format!("has {:?} voxels of {} values in its layout; each must be at least 1", layout.size, layout.components)));
+        return Err(fail(format!(
+            "has {:?} voxels of {} values in its layout; each must be at least 1",
+            layout.size, layout.components
+        )));
     }
     let [i, j, k] = layout.size;
     let total = count(path, &[i, j, k, layout.components], layout.scalar)?;
@@ -40,12 +46,22 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     check_held(path, bytes.saturating_add(layout.skip), max_bytes)?;
     skip(path, &mut reader, layout.skip)?;
     let swap = layout.scalar.bytes() > 1 && layout.big_endian != cfg!(target_endian = "big");
-    let voxels = ValueReader { path, reader, swap, count: total, watch }.read_as(layout.scalar)?;
+    let voxels = ValueReader {
+        path,
+        reader,
+        swap,
+        count: total,
+        watch,
+    }
+    .read_as(layout.scalar)?;
     let length = std::fs::metadata(path).map_or(0, |m| m.len());
     let mut image = Image::new("raw", voxels, layout.size, world_from_voxel);
     (image.components, image.layout) = (layout.components, Layout::Interleaved);
     if max_bytes == length && length > bytes + layout.skip {
-        image.warnings.push(format!("contains {} bytes more than its layout describes; check the size and type", length - bytes - layout.skip));
+        image.warnings.push(format!(
+            "contains {} bytes more than its layout describes; check the size and type",
+            length - bytes - layout.skip
+        ));
     }
     Ok(image)
 }
@@ -58,11 +74,24 @@ fn layout_file(path: &Path) -> Result<Option<RawLayout>> {
     if !sidecar.exists() {
         return Ok(None);
     }
-    if is_link_out(path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")), sidecar) {
-        return Err(Error::file(sidecar, "is a symbolic link to a file outside its folder; copy it, or use --allow-outside"));
+    if is_link_out(
+        path.parent()
+            .filter(|p| !p.as_os_str().is_empty())
+            .unwrap_or(Path::new(".")),
+        sidecar,
+    ) {
+        return Err(Error::file(
+            sidecar,
+            "is a symbolic link to a file outside its folder; copy it, or use --allow-outside",
+        ));
     }
     let text = text(sidecar, MAX_SCENE_BYTES, "layout of raw values")?;
-    toml::from_str(&text).map(Some).map_err(|e| Error::file(sidecar, format!("does not describe a raw layout: {}", e.message())))
+    toml::from_str(&text).map(Some).map_err(|e| {
+        Error::file(
+            sidecar,
+            format!("does not describe a raw layout: {}", e.message()),
+        )
+    })
 }
 
 /// The layout in a file name: three numbers joined by `x`, and a type.
@@ -70,7 +99,10 @@ fn of_name(path: &Path) -> Option<RawLayout> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let words: Vec<&str> = name.split(['_', '.', '-', ' ']).collect();
     let size = words.iter().find_map(|w| {
-        let size: Vec<usize> = w.split('x').map(|n| n.parse().ok().filter(|n| *n > 0)).collect::<Option<_>>()?;
+        let size: Vec<usize> = w
+            .split('x')
+            .map(|n| n.parse().ok().filter(|n| *n > 0))
+            .collect::<Option<_>>()?;
         <[usize; 3]>::try_from(size).ok()
     })?;
     let scalar = words.iter().find_map(|w| ScalarType::named(w))?;

@@ -94,7 +94,10 @@ impl ReadOptions {
         match number {
             None => Ok(None),
             Some(n) if (1..=count).contains(&n) => Ok(Some(n - 1)),
-            Some(n) => Err(Error::value(what, format!("{n} is out of range; the file has {count}, counted from 1"))),
+            Some(n) => Err(Error::value(
+                what,
+                format!("{n} is out of range; the file has {count}, counted from 1"),
+            )),
         }
     }
 }
@@ -105,9 +108,18 @@ impl RawLayout {
     /// # Errors
     /// The problem with it.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let usage = || format!("\"{text}\" is not a layout; write WxHxD:TYPE[:be][:skip=BYTES][:components=N], e.g. 256x256x128:u16:be");
+        let usage = || {
+            format!(
+                "\"{text}\" is not a layout; write WxHxD:TYPE[:be][:skip=BYTES][:components=N], e.g. 256x256x128:u16:be"
+            )
+        };
         let mut parts = text.split(':');
-        let size: Vec<usize> = parts.next().unwrap_or("").split('x').map_while(|n| n.trim().parse().ok()).collect();
+        let size: Vec<usize> = parts
+            .next()
+            .unwrap_or("")
+            .split('x')
+            .map_while(|n| n.trim().parse().ok())
+            .collect();
         let size: [usize; 3] = size.try_into().map_err(|_| usage())?;
         let scalar = parts.next().and_then(ScalarType::named).ok_or_else(usage)?;
         let mut layout = Self::new(size, scalar);
@@ -125,7 +137,16 @@ impl RawLayout {
 
     /// Little-endian scalars from the start of the file, 1 mm apart.
     pub fn new(size: [usize; 3], scalar: ScalarType) -> Self {
-        Self { size, scalar, components: 1, big_endian: false, skip: 0, spacing_mm: ones(), origin_mm: [0.0; 3], direction: identity() }
+        Self {
+            size,
+            scalar,
+            components: 1,
+            big_endian: false,
+            skip: 0,
+            spacing_mm: ones(),
+            origin_mm: [0.0; 3],
+            direction: identity(),
+        }
     }
 }
 
@@ -136,8 +157,25 @@ mod tests {
     #[test]
     fn layouts_as_typed() {
         let layout = RawLayout::parse("4x5x6:u16:be:skip=12:components=3").unwrap_or_else(|e| panic!("{e}"));
-        assert_eq!((layout.size, layout.scalar, layout.big_endian, layout.skip, layout.components), ([4, 5, 6], ScalarType::U16, true, 12, 3));
-        for bad in ["", "4x5", "4x5x6", "4x5x6:u7", "4x5x6:u8:xe", "4x5x6:u8:skip=a", "4x5x6x7:u8"] {
+        assert_eq!(
+            (
+                layout.size,
+                layout.scalar,
+                layout.big_endian,
+                layout.skip,
+                layout.components
+            ),
+            ([4, 5, 6], ScalarType::U16, true, 12, 3)
+        );
+        for bad in [
+            "",
+            "4x5",
+            "4x5x6",
+            "4x5x6:u7",
+            "4x5x6:u8:xe",
+            "4x5x6:u8:skip=a",
+            "4x5x6x7:u8",
+        ] {
             assert!(RawLayout::parse(bad).is_err(), "{bad}");
         }
     }

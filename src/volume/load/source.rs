@@ -3,7 +3,9 @@
 
 use super::super::StoredValues;
 use super::ScalarType;
-pub(super) use crate::files::input::{DEFLATE_LIMIT, buffered, open as open_file, read_error, unzipped as open};
+pub(super) use crate::files::input::{
+    DEFLATE_LIMIT, buffered, open as open_file, read_error, unzipped as open,
+};
 pub(super) use crate::files::memory::reserve as reserved;
 pub(super) use crate::files::reference::sibling_file;
 use crate::{ByteProgress, Error, Result, Watch};
@@ -63,15 +65,24 @@ pub(super) fn usable(world_from_voxel: &DAffine3) -> bool {
 
 /// Skips bytes.
 pub(super) fn skip(path: &Path, reader: &mut impl Read, bytes: u64) -> Result<()> {
-    let passed = std::io::copy(&mut reader.take(bytes), &mut std::io::sink()).map_err(|e| read_error(path, e))?;
-    if passed < bytes { Err(read_error(path, ErrorKind::UnexpectedEof.into())) } else { Ok(()) }
+    let passed =
+        std::io::copy(&mut reader.take(bytes), &mut std::io::sink()).map_err(|e| read_error(path, e))?;
+    if passed < bytes {
+        Err(read_error(path, ErrorKind::UnexpectedEof.into()))
+    } else {
+        Ok(())
+    }
 }
 
 /// Reads the bytes after the values, to check a gzip stream up to its checksum. Other bytes after
 /// the stream are harmless.
 pub(super) fn check_end(path: &Path, reader: impl Read) -> Result<()> {
     match std::io::copy(&mut reader.take(MAX_TRAILING_BYTES), &mut std::io::sink()) {
-        Err(e) if e.kind() == ErrorKind::UnexpectedEof || e.to_string().contains("checksum") || e.to_string().contains("corrupt gzip") => {
+        Err(e)
+            if e.kind() == ErrorKind::UnexpectedEof
+                || e.to_string().contains("checksum")
+                || e.to_string().contains("corrupt gzip") =>
+        {
             Err(read_error(path, e))
         }
         _ => Ok(()),
@@ -165,7 +176,9 @@ impl<R: Read> ValueReader<'_, R> {
             let from = values.len();
             values.resize((from + PIECE).min(self.count), T::default());
             let piece = &mut values[from..];
-            self.reader.read_exact(bytemuck::cast_slice_mut(piece)).map_err(|e| read_error(self.path, e))?;
+            self.reader
+                .read_exact(bytemuck::cast_slice_mut(piece))
+                .map_err(|e| read_error(self.path, e))?;
             if self.swap {
                 piece.iter_mut().for_each(|v| *v = v.swap());
             }
@@ -197,7 +210,12 @@ pub(super) struct ConcatenatedFiles {
 impl ConcatenatedFiles {
     /// `open` takes a file and the number of bytes that it should contain.
     pub fn new(files: Vec<PathBuf>, piece: u64, open: OpenPiece) -> Self {
-        Self { files: files.into_iter(), open, piece, current: None }
+        Self {
+            files: files.into_iter(),
+            open,
+            piece,
+            current: None,
+        }
     }
 }
 
@@ -213,8 +231,11 @@ impl Read for ConcatenatedFiles {
                     return Err(ErrorKind::UnexpectedEof.into());
                 }
             }
-            let Some(path) = self.files.next() else { return Ok(0) };
-            let opened = (self.open)(&path, self.piece).map_err(|e| std::io::Error::new(ErrorKind::InvalidData, e.to_string()))?;
+            let Some(path) = self.files.next() else {
+                return Ok(0);
+            };
+            let opened = (self.open)(&path, self.piece)
+                .map_err(|e| std::io::Error::new(ErrorKind::InvalidData, e.to_string()))?;
             self.current = Some(opened.take(self.piece));
         }
     }

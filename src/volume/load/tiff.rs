@@ -30,7 +30,8 @@ const MAX_PAGES: usize = 1 << 20;
 
 /// Whether a file has the extension of a TIFF.
 pub fn is_tiff(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
 }
 
 /// A description of the pages.
@@ -51,16 +52,25 @@ struct Description {
 type TiffDecoder = Decoder<BufReader<File>>;
 
 fn damaged(path: &Path) -> impl Fn(tiff::TiffError) -> Error + '_ {
-    move |e| Error::file(path, format!("is not a readable TIFF ({e}); copy or export it again"))
+    move |e| {
+        Error::file(
+            path,
+            format!("is not a readable TIFF ({e}); copy or export it again"),
+        )
+    }
 }
 
 fn decoder(path: &Path) -> Result<(TiffDecoder, u64)> {
     let (file, bytes) = open_file(path)?;
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(MAX_COMPRESSION_RATIO)).unwrap_or(usize::MAX).min(1 << 36);
+    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(MAX_COMPRESSION_RATIO))
+        .unwrap_or(usize::MAX)
+        .min(1 << 36);
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
     limits.ifd_value_size = usize::try_from(bytes).unwrap_or(usize::MAX).min(1 << 28);
-    let decoder = Decoder::new(BufReader::new(file)).map_err(damaged(path))?.with_limits(limits);
+    let decoder = Decoder::new(BufReader::new(file))
+        .map_err(damaged(path))?
+        .with_limits(limits);
     Ok((decoder, bytes))
 }
 
@@ -70,7 +80,10 @@ pub(super) fn first_page(path: &Path) -> Result<ImageSlice> {
     catch_panic(|| {
         let mut pages = decoder(path)?.0;
         if pages.more_images() {
-            return Err(Error::file(path, "has several pages and is one of several files; name one file, or give each a single page"));
+            return Err(Error::file(
+                path,
+                "has several pages and is one of several files; name one file, or give each a single page",
+            ));
         }
         page(path, &mut pages)
     })
@@ -87,10 +100,22 @@ fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
         ColorType::RGB(_) => 3,
         ColorType::RGBA(_) => 4,
         ColorType::Multiband { num_samples, .. } => usize::from(num_samples),
-        other => return Err(fail(format!("holds colours as {other:?}; convert it to grey or RGB"))),
+        other => {
+            return Err(fail(format!(
+                "holds colours as {other:?}; convert it to grey or RGB"
+            )));
+        }
     };
-    if components > 1 && decoder.find_tag_unsigned::<u16>(Tag::PlanarConfiguration).ok().flatten() == Some(2) {
-        return Err(fail("keeps its colours in separate planes; convert it to interleaved ones".into()));
+    if components > 1
+        && decoder
+            .find_tag_unsigned::<u16>(Tag::PlanarConfiguration)
+            .ok()
+            .flatten()
+            == Some(2)
+    {
+        return Err(fail(
+            "keeps its colours in separate planes; convert it to interleaved ones".into(),
+        ));
     }
     let values: StoredValues = match decoder.read_image().map_err(damaged(path))? {
         DecodingResult::U8(v) => v.into(),
@@ -107,22 +132,36 @@ fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
     };
     let size = [width as usize, height as usize];
     if values.len() != size[0] * size[1] * components {
-        return Err(fail(format!("has a page of {width} x {height} pixels of which {} values were read; it is damaged", values.len())));
+        return Err(fail(format!(
+            "has a page of {width} x {height} pixels of which {} values were read; it is damaged",
+            values.len()
+        )));
     }
-    Ok(ImageSlice { size, components, values })
+    Ok(ImageSlice {
+        size,
+        components,
+        values,
+    })
 }
 
 /// The description in the first page, which applies to all.
 fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
     // The decoder writes to the terminal if a description is longer than the file.
-    let described = pages.image_ifd().find_entry(Tag::ImageDescription).is_some_and(|e| e.count() <= file_bytes);
+    let described = pages
+        .image_ifd()
+        .find_entry(Tag::ImageDescription)
+        .is_some_and(|e| e.count() <= file_bytes);
     let text = described
         .then(|| pages.find_tag(Tag::ImageDescription))
         .and_then(Result::ok)
         .flatten()
         .and_then(|v| v.into_string().ok())
         .unwrap_or_default();
-    let mut metadata = if text.contains("<OME") { ome(&text) } else { imagej(&text) };
+    let mut metadata = if text.contains("<OME") {
+        ome(&text)
+    } else {
+        imagej(&text)
+    };
     let resolution = |pages: &mut TiffDecoder, tag| -> Option<f64> {
         let per_unit = match pages.find_tag(tag).ok()?? {
             tiff::decoder::ifd::Value::Rational(a, b) => f64::from(a) / f64::from(b),
@@ -144,7 +183,11 @@ fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
 
 /// The spacing stated by a file, mm along x, y, z.
 pub(super) fn spacing(path: &Path) -> Option<[Option<f64>; 3]> {
-    catch_panic(|| decoder(path).ok().map(|(mut pages, bytes)| described(&mut pages, bytes).spacing))?
+    catch_panic(|| {
+        decoder(path)
+            .ok()
+            .map(|(mut pages, bytes)| described(&mut pages, bytes).spacing)
+    })?
 }
 
 /// Reads all pages.
@@ -157,7 +200,12 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let (mut decoder, file_bytes) = decoder(path)?;
     let metadata = described(&mut decoder, file_bytes);
-    let mut pages = Pages { path, decoder, file_bytes, watch };
+    let mut pages = Pages {
+        path,
+        decoder,
+        file_bytes,
+        watch,
+    };
     let mut warnings = Vec::new();
     if metadata.imagej && !metadata.has_unit && metadata.spacing.iter().any(Option::is_some) {
         warnings.push("states its spacing without a unit; mm is assumed".into());
@@ -166,9 +214,15 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let [slices, channels, times] = metadata.extents_of(total, &mut warnings);
     let time = choice.time_of(times)?;
     if times > 1 && choice.time.is_none() {
-        warnings.push(format!("holds {times} volumes; the first is used (--time chooses another)"));
+        warnings.push(format!(
+            "holds {times} volumes; the first is used (--time chooses another)"
+        ));
     }
-    let dimensions = Dimensions { extents: [slices, channels, times], order: metadata.order, time };
+    let dimensions = Dimensions {
+        extents: [slices, channels, times],
+        order: metadata.order,
+        time,
+    };
     let pixels = if total == 1 && slices * channels * times > 1 {
         pages.read_contiguous(&dimensions)?
     } else {
@@ -193,9 +247,17 @@ impl Description {
     /// only.
     fn extents_of(&self, total: usize, warnings: &mut Vec<String>) -> [usize; 3] {
         match self.extents {
-            Some(e) if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total) || (self.imagej && total == 1) => e,
+            Some(e)
+                if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total)
+                    || (self.imagej && total == 1) =>
+            {
+                e
+            }
             Some(e) => {
-                warnings.push(format!("contains {total} pages, not the {} x {} x {} it declares; they are read as slices", e[0], e[1], e[2]));
+                warnings.push(format!(
+                    "contains {total} pages, not the {} x {} x {} it declares; they are read as slices",
+                    e[0], e[1], e[2]
+                ));
                 [total, 1, 1]
             }
             None => [total, 1, 1],
@@ -216,8 +278,21 @@ impl Description {
     /// The meaning of the values with these channels and components.
     fn meaning(&self, channels: usize, components: usize) -> Meaning {
         if channels > 1 {
-            let color = |c: usize| self.colors.get(c).copied().flatten().unwrap_or(super::super::colors::CHANNELS[c % 4]);
-            Meaning::Channels((0..channels).map(|c| Channel { color: color(c), window: None }).collect())
+            let color = |c: usize| {
+                self.colors
+                    .get(c)
+                    .copied()
+                    .flatten()
+                    .unwrap_or(super::super::colors::CHANNELS[c % 4])
+            };
+            Meaning::Channels(
+                (0..channels)
+                    .map(|c| Channel {
+                        color: color(c),
+                        window: None,
+                    })
+                    .collect(),
+            )
         } else if components > 2 {
             Meaning::Color
         } else {
@@ -239,7 +314,10 @@ impl Dimensions {
     /// The pages of the time to read, channel after channel.
     fn pages(&self) -> Vec<usize> {
         let [slices, channels, _] = self.extents;
-        (0..channels).flat_map(|c| (0..slices).map(move |s| (s, c))).map(|(s, c)| self.page(s, c)).collect()
+        (0..channels)
+            .flat_map(|c| (0..slices).map(move |s| (s, c)))
+            .map(|(s, c)| self.page(s, c))
+            .collect()
     }
 
     /// Index of a page.
@@ -286,18 +364,31 @@ impl Pages<'_> {
         let channels = dimensions.extents[1];
         let (stack, left_out) = self.stacked(&dimensions.pages())?;
         if left_out > 0 && channels > 1 {
-            return Err(fail("has channels with different page sizes; export it with a single size"));
+            return Err(fail(
+                "has channels with different page sizes; export it with a single size",
+            ));
         }
         if left_out > 0 {
-            warnings.push(format!("{left_out} pages differ in size or type from the first and were skipped"));
+            warnings.push(format!(
+                "{left_out} pages differ in size or type from the first and were skipped"
+            ));
         }
         let (size, samples, count) = (stack.size, stack.components, stack.count);
         if samples > 1 && channels > 1 {
             return Err(fail("holds both channels and colours; split them"));
         }
         let voxels = stack.finish().ok_or_else(|| fail("holds no page"))?;
-        let layout = if samples > 1 { Layout::Interleaved } else { Layout::Planar };
-        Ok(Pixels { voxels, size: [size[0], size[1], count / channels], components: samples * channels, layout })
+        let layout = if samples > 1 {
+            Layout::Interleaved
+        } else {
+            Layout::Planar
+        };
+        Ok(Pixels {
+            voxels,
+            size: [size[0], size[1], count / channels],
+            components: samples * channels,
+            layout,
+        })
     }
 
     /// Pages combined into one array, and the number of omitted pages that differ from the first
@@ -337,20 +428,41 @@ impl Pages<'_> {
         let one_time = count(path, &[width as usize, height as usize, slices, channels], scalar)?;
         let bytes = (one_time * scalar.bytes()) as u64;
         let ahead = bytes.saturating_mul(dimensions.time as u64);
-        check_held(path, first.saturating_add(ahead).saturating_add(bytes), self.file_bytes)?;
+        check_held(
+            path,
+            first.saturating_add(ahead).saturating_add(bytes),
+            self.file_bytes,
+        )?;
         let mut reader = BufReader::new(open_file(path)?.0);
-        reader.seek(SeekFrom::Start(first)).map_err(|e| Error::io(path, "reading", e))?;
+        reader
+            .seek(SeekFrom::Start(first))
+            .map_err(|e| Error::io(path, "reading", e))?;
         skip(path, &mut reader, ahead)?;
         let swap = big != cfg!(target_endian = "big");
-        let voxels = ValueReader { path, reader, swap, count: one_time, watch: self.watch }.read_as(scalar)?;
+        let voxels = ValueReader {
+            path,
+            reader,
+            swap,
+            count: one_time,
+            watch: self.watch,
+        }
+        .read_as(scalar)?;
         let (width, height) = (width as usize, height as usize);
         let voxels = if channels == 1 {
             voxels
         } else {
             // From slices of channels to channels of slices.
-            voxels.reshaped((slices, channels, width * height)).permuted(Ix3(1, 0, 2)).reshaped(one_time)
+            voxels
+                .reshaped((slices, channels, width * height))
+                .permuted(Ix3(1, 0, 2))
+                .reshaped(one_time)
         };
-        Ok(Pixels { voxels, size: [width, height, slices], components: channels, layout: Layout::Planar })
+        Ok(Pixels {
+            voxels,
+            size: [width, height, slices],
+            components: channels,
+            layout: Layout::Planar,
+        })
     }
 
     /// Type of the values after a single directory, and the offset of the first one.
@@ -359,34 +471,71 @@ impl Pages<'_> {
         let fail = |problem: &str| Error::file(path, problem);
         let [_, channels, times] = dimensions.extents;
         let color = self.decoder.colortype().map_err(damaged(path))?;
-        let scalar = match (color, self.decoder.find_tag_unsigned::<u16>(Tag::SampleFormat).ok().flatten()) {
+        let scalar = match (
+            color,
+            self.decoder
+                .find_tag_unsigned::<u16>(Tag::SampleFormat)
+                .ok()
+                .flatten(),
+        ) {
             (ColorType::Gray(8), _) => ScalarType::U8,
             (ColorType::Gray(16), Some(2)) => ScalarType::I16,
             (ColorType::Gray(16), _) => ScalarType::U16,
             (ColorType::Gray(32), Some(3)) => ScalarType::F32,
             (ColorType::Gray(32), _) => ScalarType::U32,
-            _ => return Err(fail("has slices behind a single directory that are not grey; export it again")),
+            _ => {
+                return Err(fail(
+                    "has slices behind a single directory that are not grey; export it again",
+                ));
+            }
         };
-        if self.decoder.find_tag_unsigned::<u16>(Tag::Compression).ok().flatten().is_some_and(|c| c != 1) || channels > 1 && times > 1 {
-            return Err(fail("has packed slices behind a single directory; export it again"));
+        if self
+            .decoder
+            .find_tag_unsigned::<u16>(Tag::Compression)
+            .ok()
+            .flatten()
+            .is_some_and(|c| c != 1)
+            || channels > 1 && times > 1
+        {
+            return Err(fail(
+                "has packed slices behind a single directory; export it again",
+            ));
         }
-        let first = self.decoder.find_tag_unsigned_vec::<u64>(Tag::StripOffsets).ok().flatten().and_then(|o| o.first().copied());
-        Ok((scalar, first.ok_or_else(|| fail("does not say where its pixels are"))?))
+        let first = self
+            .decoder
+            .find_tag_unsigned_vec::<u64>(Tag::StripOffsets)
+            .ok()
+            .flatten()
+            .and_then(|o| o.first().copied());
+        Ok((
+            scalar,
+            first.ok_or_else(|| fail("does not say where its pixels are"))?,
+        ))
     }
 }
 
 /// ImageJ's description: `name=value` lines.
 fn imagej(text: &str) -> Description {
-    let mut metadata = Description { order: [1, 0, 2], ..Description::default() };
+    let mut metadata = Description {
+        order: [1, 0, 2],
+        ..Description::default()
+    };
     if !text.starts_with("ImageJ=") {
         return metadata;
     }
     metadata.imagej = true;
-    let get = |name: &str| text.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix('=').map(str::trim));
+    let get = |name: &str| {
+        text.lines()
+            .find_map(|l| l.strip_prefix(name)?.strip_prefix('=').map(str::trim))
+    };
     let whole = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
     let images = whole("images").unwrap_or(1);
     let (channels, times) = (whole("channels").unwrap_or(1), whole("frames").unwrap_or(1));
-    let slices = whole("slices").or_else(|| images.checked_div(channels.saturating_mul(times)).filter(|n| *n > 0));
+    let slices = whole("slices").or_else(|| {
+        images
+            .checked_div(channels.saturating_mul(times))
+            .filter(|n| *n > 0)
+    });
     metadata.extents = slices.map(|s| [s, channels, times]);
     metadata.spacing[2] = get("spacing").and_then(|v| v.parse().ok()).map(f64::abs);
     metadata
@@ -394,7 +543,11 @@ fn imagej(text: &str) -> Description {
 
 /// Millimetres per unit of ImageJ's description; none for pixels.
 fn unit_of_imagej(text: &str) -> Option<f64> {
-    let unit = text.lines().find_map(|l| l.strip_prefix("unit=")).map(str::trim).unwrap_or("");
+    let unit = text
+        .lines()
+        .find_map(|l| l.strip_prefix("unit="))
+        .map(str::trim)
+        .unwrap_or("");
     mm_of(if unit == "\\u00B5m" { "um" } else { unit })
 }
 
@@ -414,7 +567,10 @@ pub(super) fn mm_of(unit: &str) -> Option<f64> {
 
 /// The first image of OME-XML.
 fn ome(text: &str) -> Description {
-    let mut metadata = Description { ome: true, ..Description::default() };
+    let mut metadata = Description {
+        ome: true,
+        ..Description::default()
+    };
     let mut xml = quick_xml::Reader::from_str(text.trim_end_matches('\0'));
     xml.config_mut().check_end_names = false;
     let mut seen = false;
@@ -425,26 +581,48 @@ fn ome(text: &str) -> Description {
             Ok(Event::Eof) | Err(_) => break,
             Ok(_) => continue,
         };
-        let get = |name: &str| event.attributes().flatten().find(|a| a.key.as_ref() == name).map(|a| a.value.into_owned());
+        let get = |name: &str| {
+            event
+                .attributes()
+                .flatten()
+                .find(|a| a.key.as_ref() == name)
+                .map(|a| a.value.into_owned())
+        };
         match event.local_name().as_ref() {
             "Pixels" if !seen => {
                 seen = true;
                 let extent = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
-                metadata.extents = extent("SizeZ").zip(extent("SizeC")).zip(extent("SizeT")).map(|((z, c), t)| [z, c, t]);
+                metadata.extents = extent("SizeZ")
+                    .zip(extent("SizeC"))
+                    .zip(extent("SizeT"))
+                    .map(|((z, c), t)| [z, c, t]);
                 let order = get("DimensionOrder").unwrap_or_else(|| "XYZCT".into());
                 let axes: Vec<usize> = order.chars().filter_map(|c| "ZCT".find(c)).collect();
-                metadata.order = axes.try_into().ok().filter(|[a, b, c]: &[usize; 3]| a != b && b != c && a != c).unwrap_or([0, 1, 2]);
+                metadata.order = axes
+                    .try_into()
+                    .ok()
+                    .filter(|[a, b, c]: &[usize; 3]| a != b && b != c && a != c)
+                    .unwrap_or([0, 1, 2]);
                 for (n, axis) in ["X", "Y", "Z"].into_iter().enumerate() {
                     let unit = get(&format!("PhysicalSize{axis}Unit")).map_or(Some(1e-3), |u| mm_of(&u));
-                    metadata.spacing[n] = get(&format!("PhysicalSize{axis}")).and_then(|v| v.parse::<f64>().ok()).zip(unit).map(|(v, mm)| v * mm);
+                    metadata.spacing[n] = get(&format!("PhysicalSize{axis}"))
+                        .and_then(|v| v.parse::<f64>().ok())
+                        .zip(unit)
+                        .map(|(v, mm)| v * mm);
                 }
             }
             "Channel" => {
                 // Red, green, blue, alpha as one signed number.
-                let color = get("Color").and_then(|v| v.parse::<i32>().ok()).map(|v| v.to_be_bytes());
-                metadata.colors.push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
+                let color = get("Color")
+                    .and_then(|v| v.parse::<i32>().ok())
+                    .map(|v| v.to_be_bytes());
+                metadata
+                    .colors
+                    .push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
                 // A channel may have several samples, which are then stored together in a page.
-                if get("SamplesPerPixel").and_then(|v| v.parse::<usize>().ok()).is_some_and(|n| n > 1)
+                if get("SamplesPerPixel")
+                    .and_then(|v| v.parse::<usize>().ok())
+                    .is_some_and(|n| n > 1)
                     && let Some(extents) = &mut metadata.extents
                 {
                     extents[1] = 1;
@@ -462,8 +640,12 @@ mod tests {
 
     #[test]
     fn descriptions() {
-        let metadata = imagej("ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nunit=micron\nspacing=2.5\n");
-        assert_eq!((metadata.extents, metadata.spacing[2], metadata.order), (Some([3, 2, 2]), Some(2.5), [1, 0, 2]));
+        let metadata =
+            imagej("ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nunit=micron\nspacing=2.5\n");
+        assert_eq!(
+            (metadata.extents, metadata.spacing[2], metadata.order),
+            (Some([3, 2, 2]), Some(2.5), [1, 0, 2])
+        );
         assert_eq!(unit_of_imagej("unit=\\u00B5m\n"), Some(1e-3));
         let metadata = ome(
             r#"<?xml version="1.0"?><OME xmlns="x"><Image><Pixels DimensionOrder="XYCZT" SizeX="4" SizeY="5" SizeZ="6" SizeC="2" SizeT="1"

@@ -12,7 +12,9 @@ use super::super::StoredValues;
 use super::ReadOptions;
 use super::ScalarType;
 use super::image::{Image, Meaning};
-use super::source::{DEFLATE_LIMIT, ValueReader, buffered, check_held, count, read_error, usable, with_scalar, zeroed};
+use super::source::{
+    DEFLATE_LIMIT, ValueReader, buffered, check_held, count, read_error, usable, with_scalar, zeroed,
+};
 use crate::{Error, Result, Watch};
 use decoding::{Base64, Blocks, Compression};
 use document::{ArrayLocation, VtiArray, VtiDocument, VtiPiece, document};
@@ -30,19 +32,42 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     choice.time_of(1)?;
     let (reader, file_bytes) = buffered(path)?;
     let document = document(path, reader)?;
-    let first = document.pieces.first().ok_or_else(|| fail("holds no piece of an image".into()))?;
+    let first = document
+        .pieces
+        .first()
+        .ok_or_else(|| fail("holds no piece of an image".into()))?;
     let (on_cells, wanted) = chosen(first).ok_or_else(|| fail("holds no array of values".into()))?;
-    let size = grid_size(&document.whole, on_cells).ok_or_else(|| fail(format!("has the empty extent {:?}", document.whole)))?;
-    let scalar = wanted.scalar.ok_or_else(|| fail(format!("has the type {}, which is not supported", wanted.type_name)))?;
+    let size = grid_size(&document.whole, on_cells)
+        .ok_or_else(|| fail(format!("has the empty extent {:?}", document.whole)))?;
+    let scalar = wanted.scalar.ok_or_else(|| {
+        fail(format!(
+            "has the type {}, which is not supported",
+            wanted.type_name
+        ))
+    })?;
     let components = wanted.components;
     let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
-    let most = if document.packing == Compression::None { file_bytes } else { file_bytes.saturating_mul(7 * DEFLATE_LIMIT) };
+    let most = if document.packing == Compression::None {
+        file_bytes
+    } else {
+        file_bytes.saturating_mul(7 * DEFLATE_LIMIT)
+    };
     if !matches!(wanted.place, ArrayLocation::Text(_)) {
         check_held(path, (total * scalar.bytes()) as u64, most)?;
     } else {
-        check_held(path, (total as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+        check_held(
+            path,
+            (total as u64).saturating_mul(2).saturating_sub(1),
+            file_bytes,
+        )?;
     }
-    let values = Values { path, document: &document, scalar, file_bytes, watch };
+    let values = Values {
+        path,
+        document: &document,
+        scalar,
+        file_bytes,
+        watch,
+    };
     let voxels = if let [piece] = &document.pieces[..]
         && piece.extent == document.whole
     {
@@ -60,11 +85,23 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         image.meaning = Meaning::Vectors;
     }
     if !document.directed {
-        image.warnings.push("does not state its patient orientation; left, posterior, superior axes are assumed".into());
+        image.warnings.push(
+            "does not state its patient orientation; left, posterior, superior axes are assumed".into(),
+        );
     }
-    let others: Vec<&str> = first.points.iter().chain(&first.cells).map(|a| a.name.as_str()).filter(|n| *n != wanted.name).collect();
+    let others: Vec<&str> = first
+        .points
+        .iter()
+        .chain(&first.cells)
+        .map(|a| a.name.as_str())
+        .filter(|n| *n != wanted.name)
+        .collect();
     if !others.is_empty() {
-        image.warnings.push(format!("also holds the arrays {}; \"{}\" is used", others.join(", "), wanted.name));
+        image.warnings.push(format!(
+            "also holds the arrays {}; \"{}\" is used",
+            others.join(", "),
+            wanted.name
+        ));
     }
     Ok(image)
 }
@@ -73,7 +110,11 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 /// before cell data.
 fn chosen(piece: &VtiPiece) -> Option<(bool, &VtiArray)> {
     for (cells, arrays) in [(false, &piece.points), (true, &piece.cells)] {
-        let active = piece.active.iter().flatten().find_map(|name| arrays.iter().find(|a| a.name == *name));
+        let active = piece
+            .active
+            .iter()
+            .flatten()
+            .find_map(|name| arrays.iter().find(|a| a.name == *name));
         if let Some(array) = active.or(arrays.first()) {
             return Some((cells, array));
         }
@@ -85,7 +126,9 @@ fn chosen(piece: &VtiPiece) -> Option<(bool, &VtiArray)> {
 fn grid_size(extent: &[i64; 6], on_cells: bool) -> Option<[usize; 3]> {
     let mut size = [0usize; 3];
     for a in 0..3 {
-        let n = extent[2 * a + 1].checked_sub(extent[2 * a])?.checked_add(i64::from(!on_cells))?;
+        let n = extent[2 * a + 1]
+            .checked_sub(extent[2 * a])?
+            .checked_add(i64::from(!on_cells))?;
         size[a] = usize::try_from(n).ok().filter(|n| *n > 0)?;
     }
     Some(size)
@@ -93,16 +136,30 @@ fn grid_size(extent: &[i64; 6], on_cells: bool) -> Option<[usize; 3]> {
 
 /// World from voxel; the values of cells lie at their centres.
 fn world_from_voxel(document: &VtiDocument, on_cells: bool) -> DAffine3 {
-    let corner = DVec3::from_array(std::array::from_fn(|a| document.whole[2 * a] as f64 + if on_cells { 0.5 } else { 0.0 }));
+    let corner = DVec3::from_array(std::array::from_fn(|a| {
+        document.whole[2 * a] as f64 + if on_cells { 0.5 } else { 0.0 }
+    }));
     let linear = document.direction * DMat3::from_diagonal(document.spacing);
-    DAffine3 { matrix3: linear, translation: document.origin + linear * corner }
+    DAffine3 {
+        matrix3: linear,
+        translation: document.origin + linear * corner,
+    }
 }
 
 /// Index of the first voxel of a piece of size `part` in the whole grid; none if the piece lies
 /// outside of it.
-fn first_voxel(extent: &[i64; 6], whole: &[i64; 6], part: [usize; 3], size: [usize; 3]) -> Option<[usize; 3]> {
+fn first_voxel(
+    extent: &[i64; 6],
+    whole: &[i64; 6],
+    part: [usize; 3],
+    size: [usize; 3],
+) -> Option<[usize; 3]> {
     (0..3)
-        .map(|a| usize::try_from(extent[2 * a].checked_sub(whole[2 * a])?).ok().filter(|s| s.checked_add(part[a]).is_some_and(|end| end <= size[a])))
+        .map(|a| {
+            usize::try_from(extent[2 * a].checked_sub(whole[2 * a])?)
+                .ok()
+                .filter(|s| s.checked_add(part[a]).is_some_and(|end| end <= size[a]))
+        })
         .collect::<Option<Vec<_>>>()
         .and_then(|v| v.try_into().ok())
 }
@@ -146,17 +203,33 @@ impl Values<'_> {
         let path = self.path;
         let start = |at: u64| -> Result<BufReader<File>> {
             let (mut reader, _) = buffered(path)?;
-            reader.seek(SeekFrom::Start(at)).map_err(|e| read_error(path, e))?;
+            reader
+                .seek(SeekFrom::Start(at))
+                .map_err(|e| read_error(path, e))?;
             Ok(reader)
         };
         match array.place {
-            ArrayLocation::Text(at) => super::text::values(path, start(at)?, [0, count], self.scalar, self.watch),
+            ArrayLocation::Text(at) => {
+                super::text::values(path, start(at)?, [0, count], self.scalar, self.watch)
+            }
             ArrayLocation::Base64(at) => self.unpacked(Base64::new(start(at)?), count),
             ArrayLocation::Appended(offset) => {
-                let missing = || Error::file(path, "has no appended data for its values: it is truncated; copy or download it again");
+                let missing = || {
+                    Error::file(
+                        path,
+                        "has no appended data for its values: it is truncated; copy or download it again",
+                    )
+                };
                 let (first, base64) = self.document.appended.ok_or_else(missing)?;
-                let at = first.checked_add(offset).filter(|at| *at < self.file_bytes).ok_or_else(missing)?;
-                if base64 { self.unpacked(Base64::new(start(at)?), count) } else { self.unpacked(start(at)?, count) }
+                let at = first
+                    .checked_add(offset)
+                    .filter(|at| *at < self.file_bytes)
+                    .ok_or_else(missing)?;
+                if base64 {
+                    self.unpacked(Base64::new(start(at)?), count)
+                } else {
+                    self.unpacked(start(at)?, count)
+                }
             }
         }
     }
@@ -169,11 +242,16 @@ impl Values<'_> {
         let mut parts = Vec::new();
         let mut covered = 0usize;
         for piece in &self.document.pieces {
-            let part = grid_size(&piece.extent, on_cells).ok_or_else(|| fail(format!("has a piece with the empty extent {:?}", piece.extent)))?;
-            let start = first_voxel(&piece.extent, whole, part, size).ok_or_else(|| fail("has a piece outside of the image's extent".into()))?;
-            let array = if on_cells { &piece.cells } else { &piece.points }.iter().find(|a| a.name == wanted.name);
+            let part = grid_size(&piece.extent, on_cells)
+                .ok_or_else(|| fail(format!("has a piece with the empty extent {:?}", piece.extent)))?;
+            let start = first_voxel(&piece.extent, whole, part, size)
+                .ok_or_else(|| fail("has a piece outside of the image's extent".into()))?;
+            let array = if on_cells { &piece.cells } else { &piece.points }
+                .iter()
+                .find(|a| a.name == wanted.name);
             let array = array.filter(|a| a.scalar == Some(self.scalar) && a.components == components);
-            let array = array.ok_or_else(|| fail(format!("has a piece without the array \"{}\"", wanted.name)))?;
+            let array =
+                array.ok_or_else(|| fail(format!("has a piece without the array \"{}\"", wanted.name)))?;
             let n = count(self.path, &[part[0], part[1], part[2], components], self.scalar)?;
             covered = covered.saturating_add(n);
             // Pieces share their outermost points; more overlap is not a division of one image.
@@ -193,7 +271,9 @@ impl Values<'_> {
         let length = |reader: &mut dyn Read| -> Result<u64> {
             let mut raw = [0u8; 8];
             let width = if self.document.wide { 8 } else { 4 };
-            reader.read_exact(&mut raw[..width]).map_err(|e| read_error(self.path, e))?;
+            reader
+                .read_exact(&mut raw[..width])
+                .map_err(|e| read_error(self.path, e))?;
             if self.document.big_endian {
                 raw[..width].reverse();
             }
@@ -203,26 +283,52 @@ impl Values<'_> {
             let stated = length(&mut reader)?;
             // 32-bit lengths overflow in files of more than 4 GiB.
             if stated < bytes && (self.document.wide || bytes <= u64::from(u32::MAX)) {
-                return Err(fail(format!("holds {stated} bytes of values, and {bytes} are needed")));
+                return Err(fail(format!(
+                    "holds {stated} bytes of values, and {bytes} are needed"
+                )));
             }
-            return ValueReader { path: self.path, reader, swap, count, watch: self.watch }.read_as(self.scalar);
+            return ValueReader {
+                path: self.path,
+                reader,
+                swap,
+                count,
+                watch: self.watch,
+            }
+            .read_as(self.scalar);
         }
         let [blocks, size, last] = [length(&mut reader)?, length(&mut reader)?, length(&mut reader)?];
         let whole = blocks
             .checked_mul(size)
             .filter(|_| size <= MAX_BLOCK_BYTES && last <= size)
-            .and_then(|n| if last > 0 { Some(n.checked_sub(size)? + last) } else { Some(n) });
+            .and_then(|n| {
+                if last > 0 {
+                    Some(n.checked_sub(size)? + last)
+                } else {
+                    Some(n)
+                }
+            });
         if whole.is_none_or(|n| n < bytes) || blocks > self.file_bytes {
-            return Err(fail(format!("has {blocks} blocks of {size} bytes for {bytes} bytes of values; it is damaged")));
+            return Err(fail(format!(
+                "has {blocks} blocks of {size} bytes for {bytes} bytes of values; it is damaged"
+            )));
         }
         let mut packed = Vec::new();
         for _ in 0..blocks {
             packed.push(length(&mut reader)?);
         }
         if packed.iter().any(|n| *n > self.file_bytes) {
-            return Err(fail("has a block that is larger than the file; it is damaged".into()));
+            return Err(fail(
+                "has a block that is larger than the file; it is damaged".into(),
+            ));
         }
         let blocks = Blocks::new(reader, packed, size as usize, self.document.packing);
-        ValueReader { path: self.path, reader: blocks, swap, count, watch: self.watch }.read_as(self.scalar)
+        ValueReader {
+            path: self.path,
+            reader: blocks,
+            swap,
+            count,
+            watch: self.watch,
+        }
+        .read_as(self.scalar)
     }
 }

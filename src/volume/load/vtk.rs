@@ -24,29 +24,64 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     choice.time_of(1)?;
     let (mut reader, file_bytes) = buffered(path)?;
     let (header, array) = header(path, &mut reader)?;
-    let size = header.size.ok_or_else(|| fail("has no readable DIMENSIONS".into()))?;
-    let ValueArray { scalar, components, meaning } = array.ok_or_else(|| fail("holds no values: it is truncated or has no scalars".into()))?;
+    let size = header
+        .size
+        .ok_or_else(|| fail("has no readable DIMENSIONS".into()))?;
+    let ValueArray {
+        scalar,
+        components,
+        meaning,
+    } = array.ok_or_else(|| fail("holds no values: it is truncated or has no scalars".into()))?;
     if !(1..=1024).contains(&components) {
-        return Err(fail(format!("has {components} values per voxel; its header is damaged")));
+        return Err(fail(format!(
+            "has {components} values per voxel; its header is damaged"
+        )));
     }
-    let size = if header.on_cells { size.map(|n| n.saturating_sub(1).max(1)) } else { size };
+    let size = if header.on_cells {
+        size.map(|n| n.saturating_sub(1).max(1))
+    } else {
+        size
+    };
     let total = count(path, &[size[0], size[1], size[2], components], scalar)?;
     let voxels = if header.binary {
         check_held(path, (total * scalar.bytes()) as u64, file_bytes)?;
-        ValueReader { path, reader, swap: scalar.bytes() > 1 && cfg!(target_endian = "little"), count: total, watch }.read_as(scalar)?
+        ValueReader {
+            path,
+            reader,
+            swap: scalar.bytes() > 1 && cfg!(target_endian = "little"),
+            count: total,
+            watch,
+        }
+        .read_as(scalar)?
     } else {
-        check_held(path, (total as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+        check_held(
+            path,
+            (total as u64).saturating_mul(2).saturating_sub(1),
+            file_bytes,
+        )?;
         super::text::values(path, reader, [0, total], scalar, watch)?
     };
     let spacing = header.spacing;
-    let first = header.origin + if header.on_cells { spacing * 0.5 } else { DVec3::ZERO };
-    let world_from_voxel = DAffine3 { matrix3: DMat3::from_diagonal(spacing), translation: first };
+    let first = header.origin
+        + if header.on_cells {
+            spacing * 0.5
+        } else {
+            DVec3::ZERO
+        };
+    let world_from_voxel = DAffine3 {
+        matrix3: DMat3::from_diagonal(spacing),
+        translation: first,
+    };
     if !usable(&world_from_voxel) {
-        return Err(fail("has a spacing of zero, or numbers that are not finite; its geometry cannot be used".into()));
+        return Err(fail(
+            "has a spacing of zero, or numbers that are not finite; its geometry cannot be used".into(),
+        ));
     }
     let mut image = Image::new("legacy VTK", voxels, size, world_from_voxel);
     (image.components, image.meaning, image.frame) = (components, meaning, Some(DMat3::IDENTITY));
-    image.warnings.push("cannot state its patient orientation; left, posterior, superior axes are assumed".into());
+    image
+        .warnings
+        .push("cannot state its patient orientation; left, posterior, superior axes are assumed".into());
     Ok(image)
 }
 
@@ -73,15 +108,31 @@ struct ValueArray {
 fn header(path: &Path, reader: &mut impl BufRead) -> Result<(Header, Option<ValueArray>)> {
     let fail = |problem: String| Error::file(path, problem);
     if !line(path, reader)?.is_some_and(|l| l.starts_with("# vtk DataFile")) {
-        return Err(fail("is not a VTK file (it does not start with \"# vtk DataFile\")".into()));
+        return Err(fail(
+            "is not a VTK file (it does not start with \"# vtk DataFile\")".into(),
+        ));
     }
     let _title = line(path, reader)?;
-    let binary = match line(path, reader)?.unwrap_or_default().to_ascii_uppercase().as_str() {
+    let binary = match line(path, reader)?
+        .unwrap_or_default()
+        .to_ascii_uppercase()
+        .as_str()
+    {
         "BINARY" => true,
         "ASCII" => false,
-        other => return Err(fail(format!("is written as \"{other}\"; it must be ASCII or BINARY"))),
+        other => {
+            return Err(fail(format!(
+                "is written as \"{other}\"; it must be ASCII or BINARY"
+            )));
+        }
     };
-    let mut header = Header { binary, size: None, spacing: DVec3::ONE, origin: DVec3::ZERO, on_cells: false };
+    let mut header = Header {
+        binary,
+        size: None,
+        spacing: DVec3::ONE,
+        origin: DVec3::ZERO,
+        on_cells: false,
+    };
     for _ in 0..MAX_HEADER_LINES {
         let Some(text) = line(path, reader)? else { break };
         header.apply(&text).map_err(fail)?;
@@ -96,7 +147,10 @@ fn header(path: &Path, reader: &mut impl BufRead) -> Result<(Header, Option<Valu
 /// A line without the white space around it; none at the end of the file.
 fn line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut bytes = Vec::new();
-    let read = reader.take(MAX_LINE_BYTES).read_until(b'\n', &mut bytes).map_err(|e| read_error(path, e))?;
+    let read = reader
+        .take(MAX_LINE_BYTES)
+        .read_until(b'\n', &mut bytes)
+        .map_err(|e| read_error(path, e))?;
     Ok((read > 0).then(|| String::from_utf8_lossy(&bytes).trim().to_owned()))
 }
 
@@ -105,14 +159,37 @@ impl Header {
     /// arrays; ignores other lines.
     fn apply(&mut self, text: &str) -> Result<(), String> {
         let words: Vec<&str> = text.split_whitespace().collect();
-        let three = || -> Option<[f64; 3]> { words.get(1..4)?.iter().map(|w| w.parse().ok()).collect::<Option<Vec<_>>>()?.try_into().ok() };
-        let vector = || three().map(DVec3::from_array).ok_or_else(|| format!("has \"{text}\", which is not three numbers"));
+        let three = || -> Option<[f64; 3]> {
+            words
+                .get(1..4)?
+                .iter()
+                .map(|w| w.parse().ok())
+                .collect::<Option<Vec<_>>>()?
+                .try_into()
+                .ok()
+        };
+        let vector = || {
+            three()
+                .map(DVec3::from_array)
+                .ok_or_else(|| format!("has \"{text}\", which is not three numbers"))
+        };
         match words.first().map(|w| w.to_ascii_uppercase()).as_deref() {
-            Some("DATASET") if !words.get(1).is_some_and(|k| k.eq_ignore_ascii_case("STRUCTURED_POINTS")) => {
-                return Err(format!("holds {}; structured points can be read as a volume", words.get(1).unwrap_or(&"nothing")));
+            Some("DATASET")
+                if !words
+                    .get(1)
+                    .is_some_and(|k| k.eq_ignore_ascii_case("STRUCTURED_POINTS")) =>
+            {
+                return Err(format!(
+                    "holds {}; structured points can be read as a volume",
+                    words.get(1).unwrap_or(&"nothing")
+                ));
             }
             Some("DIMENSIONS") => {
-                let points = |w: &[&str]| w.iter().map(|n| n.parse::<usize>().ok().filter(|n| *n > 0)).collect::<Option<Vec<_>>>();
+                let points = |w: &[&str]| {
+                    w.iter()
+                        .map(|n| n.parse::<usize>().ok().filter(|n| *n > 0))
+                        .collect::<Option<Vec<_>>>()
+                };
                 self.size = words.get(1..4).and_then(points).and_then(|s| s.try_into().ok());
             }
             Some("SPACING" | "ASPECT_RATIO") => self.spacing = vector()?,
@@ -126,7 +203,12 @@ impl Header {
 }
 
 /// The array of values that a line declares, if any; leaves the reader at its values.
-fn value_array(path: &Path, reader: &mut impl BufRead, header: &Header, text: &str) -> Result<Option<ValueArray>> {
+fn value_array(
+    path: &Path,
+    reader: &mut impl BufRead,
+    header: &Header,
+    text: &str,
+) -> Result<Option<ValueArray>> {
     let fail = |problem: String| Error::file(path, problem);
     let words: Vec<&str> = text.split_whitespace().collect();
     let number = |n: usize| words.get(n).and_then(|w| w.parse::<usize>().ok());
@@ -136,26 +218,49 @@ fn value_array(path: &Path, reader: &mut impl BufRead, header: &Header, text: &s
             // The following table is named, and may be missing.
             let table = line(path, reader)?.unwrap_or_default();
             if !table.to_ascii_uppercase().starts_with("LOOKUP_TABLE") {
-                return Err(fail("has scalars without a lookup table; its header is damaged".into()));
+                return Err(fail(
+                    "has scalars without a lookup table; its header is damaged".into(),
+                ));
             }
             (scalar, number(3).unwrap_or(1), Meaning::Unstated)
         }
         Some("COLOR_SCALARS") => {
-            let components = number(2).ok_or_else(|| fail(format!("has \"{text}\", which cannot be read")))?;
-            (if header.binary { ScalarType::U8 } else { ScalarType::F32 }, components, Meaning::Color)
+            let components =
+                number(2).ok_or_else(|| fail(format!("has \"{text}\", which cannot be read")))?;
+            (
+                if header.binary {
+                    ScalarType::U8
+                } else {
+                    ScalarType::F32
+                },
+                components,
+                Meaning::Color,
+            )
         }
-        Some("VECTORS" | "NORMALS") => (scalar_type(words.get(2).unwrap_or(&"")).map_err(fail)?, 3, Meaning::Vectors),
+        Some("VECTORS" | "NORMALS") => (
+            scalar_type(words.get(2).unwrap_or(&"")).map_err(fail)?,
+            3,
+            Meaning::Vectors,
+        ),
         // Fields before the points belong to the whole data set.
         Some("FIELD") if header.size.is_some() => {
             let next = line(path, reader)?.unwrap_or_default();
             let words: Vec<&str> = next.split_whitespace().collect();
-            let [_, components, _, kind, ..] = words[..] else { return Err(fail(format!("has the field \"{next}\", which cannot be read"))) };
-            let components = components.parse::<usize>().map_err(|_| fail(format!("has the field \"{next}\", which cannot be read")))?;
+            let [_, components, _, kind, ..] = words[..] else {
+                return Err(fail(format!("has the field \"{next}\", which cannot be read")));
+            };
+            let components = components
+                .parse::<usize>()
+                .map_err(|_| fail(format!("has the field \"{next}\", which cannot be read")))?;
             (scalar_type(kind).map_err(fail)?, components, Meaning::Unstated)
         }
         _ => return Ok(None),
     };
-    Ok(Some(ValueArray { scalar, components, meaning }))
+    Ok(Some(ValueArray {
+        scalar,
+        components,
+        meaning,
+    }))
 }
 
 fn scalar_type(name: &str) -> Result<ScalarType, String> {

@@ -32,7 +32,9 @@ const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 /// Whether a folder is a Zarr group or array.
 pub fn is_zarr(folder: &Path) -> bool {
-    [".zattrs", ".zgroup", ".zarray", "zarr.json"].iter().any(|n| folder.join(n).is_file())
+    [".zattrs", ".zgroup", ".zarray", "zarr.json"]
+        .iter()
+        .any(|n| folder.join(n).is_file())
 }
 
 /// The JSON of a file; null if there is no file.
@@ -41,7 +43,12 @@ fn metadata(path: &Path) -> Result<Value> {
         return Ok(Value::Null);
     }
     let bytes = input::bytes(path, MAX_METADATA_BYTES, "metadata")?;
-    serde_json::from_slice(&bytes).map_err(|e| Error::file(path, format!("is not readable JSON ({e}); it is truncated or damaged")))
+    serde_json::from_slice(&bytes).map_err(|e| {
+        Error::file(
+            path,
+            format!("is not readable JSON ({e}); it is truncated or damaged"),
+        )
+    })
 }
 
 /// Attributes of a group, in either version of Zarr.
@@ -49,7 +56,11 @@ fn attributes(folder: &Path) -> Result<Value> {
     let three = metadata(&folder.join("zarr.json"))?;
     if !three.is_null() {
         let own = &three["attributes"];
-        return Ok(if own["ome"].is_object() { own["ome"].clone() } else { own.clone() });
+        return Ok(if own["ome"].is_object() {
+            own["ome"].clone()
+        } else {
+            own.clone()
+        });
     }
     metadata(&folder.join(".zattrs"))
 }
@@ -72,27 +83,52 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let mut warnings = Vec::new();
     let time = choice.time_of(times)?;
     if times > 1 && choice.time.is_none() {
-        warnings.push(format!("holds {times} volumes; the first is used (--time chooses another)"));
+        warnings.push(format!(
+            "holds {times} volumes; the first is used (--time chooses another)"
+        ));
     }
     if !axes.in_order() {
-        return Err(fail("has its axes in another order than time, channel, z, y, x; reorder them".into()));
+        return Err(fail(
+            "has its axes in another order than time, channel, z, y, x; reorder them".into(),
+        ));
     }
     // A selected channel is read alone.
     let one = ReadOptions::index("channel", choice.channel, channels)?;
     if one.is_none() && channels > 4 {
-        return Err(fail(format!("contains {channels} channels, which cannot be shown together; choose one with --channel (1 to {channels})")));
+        return Err(fail(format!(
+            "contains {channels} channels, which cannot be shown together; choose one with --channel (1 to {channels})"
+        )));
     }
     let chosen: Vec<usize> = one.map_or_else(|| (0..channels).collect(), |c| vec![c]);
     let size = axes.space().map(|axis| layout.extent(axis));
-    let voxels = Selection { path, layout: &layout, axes: &axes, size, channels: &chosen, time, watch }.read(&array_folder)?;
-    let (scale, translation) = placement(group.multiscale(), group.datasets.get(level).unwrap_or(&Value::Null), layout.shape.len()).map_err(&fail)?;
+    let voxels = Selection {
+        path,
+        layout: &layout,
+        axes: &axes,
+        size,
+        channels: &chosen,
+        time,
+        watch,
+    }
+    .read(&array_folder)?;
+    let (scale, translation) = placement(
+        group.multiscale(),
+        group.datasets.get(level).unwrap_or(&Value::Null),
+        layout.shape.len(),
+    )
+    .map_err(&fail)?;
     if scale.is_none() && choice.spacing.is_none() {
         warnings.push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
     let linear = DMat3::from_diagonal(scale.map_or(DVec3::ONE, |scale| axes.in_mm(&scale, 1.0)));
-    let world_from_voxel = DAffine3 { matrix3: linear, translation: translation.map_or(DVec3::ZERO, |t| axes.in_mm(&t, 0.0)) };
+    let world_from_voxel = DAffine3 {
+        matrix3: linear,
+        translation: translation.map_or(DVec3::ZERO, |t| axes.in_mm(&t, 0.0)),
+    };
     if !super::source::usable(&world_from_voxel) {
-        return Err(fail("has a scale of zero, or one that is not finite; its geometry cannot be used".into()));
+        return Err(fail(
+            "has a scale of zero, or one that is not finite; its geometry cannot be used".into(),
+        ));
     }
     let mut image = Image::new(group.format(), voxels, size, world_from_voxel);
     (image.components, image.layout, image.meaning) = (chosen.len(), Layout::Planar, group.meaning(&chosen));
@@ -126,10 +162,20 @@ impl ImageGroup {
             own = attributes(&folder)?;
         }
         if own["plate"].is_object() || own["well"].is_object() {
-            return Err(Error::file(path, "is a plate of many images; name one of them (a folder such as A/1/0 inside)"));
+            return Err(Error::file(
+                path,
+                "is a plate of many images; name one of them (a folder such as A/1/0 inside)",
+            ));
         }
-        let datasets = own["multiscales"][0]["datasets"].as_array().cloned().unwrap_or_default();
-        Ok(Self { folder, attributes: own, datasets })
+        let datasets = own["multiscales"][0]["datasets"]
+            .as_array()
+            .cloned()
+            .unwrap_or_default();
+        Ok(Self {
+            folder,
+            attributes: own,
+            datasets,
+        })
     }
 
     /// The first multiscale image; null if there is none.
@@ -142,33 +188,64 @@ impl ImageGroup {
         let fail = |problem: String| Error::file(path, problem);
         if self.datasets.is_empty() {
             if level > 0 {
-                return Err(Error::value("level", format!("{level} is out of range; the array has a single resolution, 0")));
+                return Err(Error::value(
+                    "level",
+                    format!("{level} is out of range; the array has a single resolution, 0"),
+                ));
             }
-            if !self.folder.join(".zarray").is_file() && metadata(&self.folder.join("zarr.json"))?["node_type"] != "array" {
-                return Err(fail("is a Zarr group without an image (no multiscales); name an image inside of it".into()));
+            if !self.folder.join(".zarray").is_file()
+                && metadata(&self.folder.join("zarr.json"))?["node_type"] != "array"
+            {
+                return Err(fail(
+                    "is a Zarr group without an image (no multiscales); name an image inside of it".into(),
+                ));
             }
             return Ok(self.folder.clone());
         }
         let dataset = self.datasets.get(level).ok_or_else(|| {
-            Error::value("level", format!("{level} is out of range; there are {} resolutions, counted from 0 (full)", self.datasets.len()))
+            Error::value(
+                "level",
+                format!(
+                    "{level} is out of range; there are {} resolutions, counted from 0 (full)",
+                    self.datasets.len()
+                ),
+            )
         })?;
-        let name = dataset["path"].as_str().ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
-        if Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_))) {
-            return Err(fail(format!("names \"{name}\", which is outside the store; its metadata are damaged")));
+        let name = dataset["path"]
+            .as_str()
+            .ok_or_else(|| fail("has a resolution without a path; its metadata are damaged".into()))?;
+        if Path::new(name)
+            .components()
+            .any(|c| !matches!(c, std::path::Component::Normal(_)))
+        {
+            return Err(fail(format!(
+                "names \"{name}\", which is outside the store; its metadata are damaged"
+            )));
         }
         Ok(self.folder.join(name))
     }
 
     /// Name of the format.
     fn format(&self) -> &'static str {
-        if self.folder.join("zarr.json").is_file() { "OME-Zarr 0.5" } else { "OME-Zarr 0.4" }
+        if self.folder.join("zarr.json").is_file() {
+            "OME-Zarr 0.5"
+        } else {
+            "OME-Zarr 0.4"
+        }
     }
 
     /// The meaning of the values of these channels.
     fn meaning(&self, channels: &[usize]) -> Meaning {
         if channels.len() > 1 {
-            Meaning::Channels(channels.iter().map(|&n| channel_style(&self.attributes["omero"]["channels"][n], n)).collect())
-        } else if self.folder.parent().is_some_and(|p| p.ends_with("labels")) || self.attributes["image-label"].is_object() {
+            Meaning::Channels(
+                channels
+                    .iter()
+                    .map(|&n| channel_style(&self.attributes["omero"]["channels"][n], n))
+                    .collect(),
+            )
+        } else if self.folder.parent().is_some_and(|p| p.ends_with("labels"))
+            || self.attributes["image-label"].is_object()
+        {
             Meaning::Labels(Vec::new())
         } else {
             Meaning::Unstated
@@ -191,9 +268,18 @@ impl AxisPositions {
     fn of(multiscale: &Value, rank: usize) -> Result<Self, String> {
         let all = axes(multiscale, rank)?;
         let find = |name: &str| all.iter().position(|a| a.name == name);
-        let (Some(x), Some(y)) = (find("x"), find("y")) else { return Err("has no axes x and y; a volume is needed".into()) };
+        let (Some(x), Some(y)) = (find("x"), find("y")) else {
+            return Err("has no axes x and y; a volume is needed".into());
+        };
         let (z, channel, time) = (find("z"), find("c"), find("t"));
-        Ok(Self { all, x, y, z, channel, time })
+        Ok(Self {
+            all,
+            x,
+            y,
+            z,
+            channel,
+            time,
+        })
     }
 
     /// Whether x, y and z are the last axes, with x varying fastest.
@@ -210,7 +296,10 @@ impl AxisPositions {
     /// From values for every axis, those along x, y, z in mm; `missing` for an axis that does not
     /// exist.
     fn in_mm(&self, values: &[f64], missing: f64) -> DVec3 {
-        DVec3::from_array(self.space().map(|axis| axis.map_or(missing, |a| values[a] * self.all[a].mm)))
+        DVec3::from_array(
+            self.space()
+                .map(|axis| axis.map_or(missing, |a| values[a] * self.all[a].mm)),
+        )
     }
 }
 
@@ -231,11 +320,20 @@ impl Selection<'_> {
     fn read(&self, folder: &Path) -> Result<StoredValues> {
         let (path, [width, height, depth]) = (self.path, self.size);
         let fail = |problem: String| Error::file(path, problem);
-        let total = count(path, &[width, height, depth, self.channels.len()], self.layout.scalar)?;
-        self.layout.check(path, folder, (total * self.layout.scalar.bytes()) as u64)?;
+        let total = count(
+            path,
+            &[width, height, depth, self.channels.len()],
+            self.layout.scalar,
+        )?;
+        self.layout
+            .check(path, folder, (total * self.layout.scalar.bytes()) as u64)?;
         let array = self.open(folder)?;
         // Whole layers of chunks at once, so that no chunk is unpacked twice.
-        let layer = self.axes.z.map_or(1, |a| self.layout.chunks[a] as usize).clamp(1, depth);
+        let layer = self
+            .axes
+            .z
+            .map_or(1, |a| self.layout.chunks[a] as usize)
+            .clamp(1, depth);
         let voxels: StoredValues = with_scalar!(self.layout.scalar, T => {
             let mut values: Vec<T> = reserved(path, total)?;
             let meter = ByteProgress::new(self.watch, (total * size_of::<T>()) as u64);
@@ -261,10 +359,13 @@ impl Selection<'_> {
         // Its metadata and chunks, existing or not.
         inputs::note_path(self.path);
         if folder.to_str().is_none() {
-            return Err(fail("has a path that is not UTF-8, which OME-Zarr requires; rename it".into()));
+            return Err(fail(
+                "has a path that is not UTF-8, which OME-Zarr requires; rename it".into(),
+            ));
         }
         let store = FilesystemStore::new(folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
-        Array::open(Arc::new(store), "/").map_err(|e| fail(format!("holds an array that cannot be read ({e})")))
+        Array::open(Arc::new(store), "/")
+            .map_err(|e| fail(format!("holds an array that cannot be read ({e})")))
     }
 
     /// Some slices of a channel.
@@ -297,12 +398,21 @@ impl ArrayLayout {
         let (shape, chunks, kind) = if two.is_null() {
             let three = metadata(&folder.join("zarr.json"))?;
             if three.is_null() {
-                return Err(fail("is not a Zarr array (it contains neither .zarray nor zarr.json)".into()));
+                return Err(fail(
+                    "is not a Zarr array (it contains neither .zarray nor zarr.json)".into(),
+                ));
             }
             let chunks = three["chunk_grid"]["configuration"]["chunk_shape"].clone();
-            (three["shape"].clone(), chunks, three["data_type"].as_str().unwrap_or("").to_owned())
+            (
+                three["shape"].clone(),
+                chunks,
+                three["data_type"].as_str().unwrap_or("").to_owned(),
+            )
         } else {
-            let kind = two["dtype"].as_str().unwrap_or("").trim_start_matches(['<', '>', '|']);
+            let kind = two["dtype"]
+                .as_str()
+                .unwrap_or("")
+                .trim_start_matches(['<', '>', '|']);
             let kind = match kind {
                 "u1" | "b1" => "uint8",
                 "i1" => "int8",
@@ -318,15 +428,27 @@ impl ArrayLayout {
             };
             (two["shape"].clone(), two["chunks"].clone(), kind.to_owned())
         };
-        let numbers = |v: &Value| v.as_array()?.iter().map(|n| n.as_u64().filter(|n| *n > 0)).collect::<Option<Vec<u64>>>();
+        let numbers = |v: &Value| {
+            v.as_array()?
+                .iter()
+                .map(|n| n.as_u64().filter(|n| *n > 0))
+                .collect::<Option<Vec<u64>>>()
+        };
         let (Some(shape), Some(chunks)) = (numbers(&shape), numbers(&chunks)) else {
-            return Err(fail("has a shape or chunks that are not positive numbers; its metadata are damaged".into()));
+            return Err(fail(
+                "has a shape or chunks that are not positive numbers; its metadata are damaged".into(),
+            ));
         };
         if shape.len() != chunks.len() || !(2..=5).contains(&shape.len()) {
             return Err(fail(format!("has {} axes; 2 to 5 can be read", shape.len())));
         }
-        let scalar = ScalarType::named(&kind).ok_or_else(|| fail(format!("stores \"{kind}\", which cannot be rendered")))?;
-        Ok(Self { shape, chunks, scalar })
+        let scalar = ScalarType::named(&kind)
+            .ok_or_else(|| fail(format!("stores \"{kind}\", which cannot be rendered")))?;
+        Ok(Self {
+            shape,
+            chunks,
+            scalar,
+        })
     }
 
     /// Extent of an axis; 1 for an axis that the array does not have.
@@ -343,7 +465,9 @@ impl ArrayLayout {
                 let links = reference::links_left_out(&[entry.path().to_owned()]).unwrap_or_default();
                 return Err(Error::file(path, links));
             }
-            let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
+            let Ok(metadata) = std::fs::metadata(entry.path()) else {
+                continue;
+            };
             if metadata.is_file() {
                 inputs::register(entry.path(), &metadata);
                 (there, files) = (there + metadata.len(), files + 1);
@@ -355,12 +479,24 @@ impl ArrayLayout {
             }
         }
         // Each chunk is looked up, whether it exists or not.
-        let chunks = self.shape.iter().zip(&self.chunks).try_fold(1u64, |n, (s, c)| n.checked_mul(s.div_ceil(*c)));
+        let chunks = self
+            .shape
+            .iter()
+            .zip(&self.chunks)
+            .try_fold(1u64, |n, (s, c)| n.checked_mul(s.div_ceil(*c)));
         if chunks.is_none_or(|n| n > MAX_MISSING_CHUNKS.saturating_add(files.saturating_mul(64))) {
-            return Err(Error::file(path, format!("declares far more chunks than the {files} files in it: its metadata are damaged; copy it again")));
+            return Err(Error::file(
+                path,
+                format!(
+                    "declares far more chunks than the {files} files in it: its metadata are damaged; copy it again"
+                ),
+            ));
         }
         let most = there.saturating_mul(MAX_COMPRESSION_RATIO).max(ALWAYS_BELIEVED);
-        let chunk = self.chunks.iter().try_fold(self.scalar.bytes() as u64, |n, &c| n.checked_mul(c));
+        let chunk = self
+            .chunks
+            .iter()
+            .try_fold(self.scalar.bytes() as u64, |n, &c| n.checked_mul(c));
         super::source::check_held(path, bytes.max(chunk.unwrap_or(u64::MAX)), most)
     }
 }
@@ -373,20 +509,37 @@ struct ZarrAxis {
 /// Names and units of the axes; in 0.1 and 0.2 they are always t, c, z, y, x.
 fn axes(multiscale: &Value, rank: usize) -> Result<Vec<ZarrAxis>, String> {
     let Some(stated) = multiscale["axes"].as_array() else {
-        let names: &[&str] = if multiscale.is_null() { &["t", "c", "z", "y", "x"][5 - rank.min(5)..] } else { &["t", "c", "z", "y", "x"] };
+        let names: &[&str] = if multiscale.is_null() {
+            &["t", "c", "z", "y", "x"][5 - rank.min(5)..]
+        } else {
+            &["t", "c", "z", "y", "x"]
+        };
         return if names.len() == rank {
-            Ok(names.iter().map(|n| ZarrAxis { name: (*n).to_owned(), mm: 1.0 }).collect())
+            Ok(names
+                .iter()
+                .map(|n| ZarrAxis {
+                    name: (*n).to_owned(),
+                    mm: 1.0,
+                })
+                .collect())
         } else {
             Err("does not name its axes; its metadata are damaged".into())
         };
     };
     if stated.len() != rank {
-        return Err(format!("names {} axes of an array of {rank}; its metadata are damaged", stated.len()));
+        return Err(format!(
+            "names {} axes of an array of {rank}; its metadata are damaged",
+            stated.len()
+        ));
     }
     Ok(stated
         .iter()
         .map(|a| ZarrAxis {
-            name: a.as_str().or(a["name"].as_str()).unwrap_or("").to_ascii_lowercase(),
+            name: a
+                .as_str()
+                .or(a["name"].as_str())
+                .unwrap_or("")
+                .to_ascii_lowercase(),
             mm: a["unit"].as_str().and_then(mm_of).unwrap_or(1.0),
         })
         .collect())
@@ -394,12 +547,21 @@ fn axes(multiscale: &Value, rank: usize) -> Result<Vec<ZarrAxis>, String> {
 
 /// Scale and translation per axis: those of the resolution, then those of the whole image.
 #[allow(clippy::type_complexity, reason = "two optional lists")]
-fn placement(multiscale: &Value, dataset: &Value, rank: usize) -> Result<(Option<Vec<f64>>, Option<Vec<f64>>), String> {
+fn placement(
+    multiscale: &Value,
+    dataset: &Value,
+    rank: usize,
+) -> Result<(Option<Vec<f64>>, Option<Vec<f64>>), String> {
     let (mut scale, mut translation): (Option<Vec<f64>>, Option<Vec<f64>>) = (None, None);
-    for list in [&dataset["coordinateTransformations"], &multiscale["coordinateTransformations"]] {
+    for list in [
+        &dataset["coordinateTransformations"],
+        &multiscale["coordinateTransformations"],
+    ] {
         for step in list.as_array().map_or(&[][..], Vec::as_slice) {
             let kind = step["type"].as_str().unwrap_or("");
-            let values: Option<Vec<f64>> = step[kind].as_array().map(|a| a.iter().map(|v| v.as_f64().unwrap_or(f64::NAN)).collect());
+            let values: Option<Vec<f64>> = step[kind]
+                .as_array()
+                .map(|a| a.iter().map(|v| v.as_f64().unwrap_or(f64::NAN)).collect());
             let Some(values) = values.filter(|v| v.len() == rank) else {
                 if kind == "identity" {
                     continue;
@@ -408,11 +570,17 @@ fn placement(multiscale: &Value, dataset: &Value, rank: usize) -> Result<(Option
             };
             match kind {
                 "scale" => {
-                    let times = |old: &Vec<f64>| old.iter().zip(&values).map(|(a, b)| a * b).collect::<Vec<f64>>();
-                    (scale, translation) = (Some(scale.as_ref().map_or(values.clone(), times)), translation.as_ref().map(times));
+                    let times =
+                        |old: &Vec<f64>| old.iter().zip(&values).map(|(a, b)| a * b).collect::<Vec<f64>>();
+                    (scale, translation) = (
+                        Some(scale.as_ref().map_or(values.clone(), times)),
+                        translation.as_ref().map(times),
+                    );
                 }
                 "translation" => {
-                    translation = Some(translation.map_or(values.clone(), |old| old.iter().zip(&values).map(|(a, b)| a + b).collect()));
+                    translation = Some(translation.map_or(values.clone(), |old| {
+                        old.iter().zip(&values).map(|(a, b)| a + b).collect()
+                    }));
                 }
                 _ => return Err(format!("has a transformation \"{kind}\", which cannot be used")),
             }
@@ -423,8 +591,21 @@ fn placement(multiscale: &Value, dataset: &Value, rank: usize) -> Result<(Option
 
 /// Colour and window of a channel.
 fn channel_style(attributes_json: &Value, n: usize) -> Channel {
-    let color = attributes_json["color"].as_str().filter(|t| t.len() == 6).and_then(|t| u32::from_str_radix(t, 16).ok());
+    let color = attributes_json["color"]
+        .as_str()
+        .filter(|t| t.len() == 6)
+        .and_then(|t| u32::from_str_radix(t, 16).ok());
     let [_, r, g, b] = color.unwrap_or(0).to_be_bytes();
-    let window = attributes_json["window"]["start"].as_f64().zip(attributes_json["window"]["end"].as_f64()).filter(|(a, b)| a < b);
-    Channel { color: if color.is_some() { [r, g, b] } else { super::super::colors::CHANNELS[n % 4] }, window: window.map(|(a, b)| [a, b]) }
+    let window = attributes_json["window"]["start"]
+        .as_f64()
+        .zip(attributes_json["window"]["end"].as_f64())
+        .filter(|(a, b)| a < b);
+    Channel {
+        color: if color.is_some() {
+            [r, g, b]
+        } else {
+            super::super::colors::CHANNELS[n % 4]
+        },
+        window: window.map(|(a, b)| [a, b]),
+    }
 }

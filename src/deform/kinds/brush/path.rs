@@ -13,7 +13,11 @@ pub(super) struct Dab {
 pub(super) fn to_segment(p: Vec3, a: Vec3, b: Vec3) -> f32 {
     let (ab, ap) = (b - a, p - a);
     let length_squared = ab.length_squared();
-    let t = if length_squared > 0.0 { (ap.dot(ab) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
+    let t = if length_squared > 0.0 {
+        (ap.dot(ab) / length_squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     ap.distance(ab * t)
 }
 
@@ -32,13 +36,19 @@ pub(super) fn thinned(line: &[Vec3], least: f32) -> Vec<Vec3> {
 /// A brush's positions along a line: its first point, then steps of at most `longest`, limited to
 /// ±`room`.
 pub(super) fn dabs(line: &[Vec3], longest: f32, room: Vec3) -> impl Iterator<Item = Dab> {
-    let first = line.first().map(|p| Dab { place: *p, step: Vec3::ZERO });
+    let first = line.first().map(|p| Dab {
+        place: *p,
+        step: Vec3::ZERO,
+    });
     let further = line.windows(2).flat_map(move |w| {
         let (a, b) = (w[0], w[1]);
         let count = (a.distance(b) / longest).ceil().max(1.0);
         let step = (b - a) / count;
         let (enters, leaves) = share_within(a, b, room);
-        ((enters * count) as u32..(leaves * count).ceil() as u32).map(move |n| Dab { place: a + step * (n + 1) as f32, step })
+        ((enters * count) as u32..(leaves * count).ceil() as u32).map(move |n| Dab {
+            place: a + step * (n + 1) as f32,
+            step,
+        })
     });
     first.into_iter().chain(further)
 }
@@ -56,5 +66,9 @@ fn share_within(a: Vec3, b: Vec3, room: Vec3) -> (f32, f32) {
             return (0.0, 0.0);
         }
     }
-    if enters <= leaves { (enters, leaves) } else { (0.0, 0.0) }
+    if enters <= leaves {
+        (enters, leaves)
+    } else {
+        (0.0, 0.0)
+    }
 }

@@ -10,7 +10,9 @@ const MAX_OUTLINE_POINTS: usize = 512;
 
 /// The bounding rectangle of points, enlarged by `margin`.
 pub(super) fn box_of(points: impl Iterator<Item = Vec2>, margin: f32) -> (Vec2, Vec2) {
-    let (low, high) = points.fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    let (low, high) = points.fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(low, high), p| {
+        (low.min(p), high.max(p))
+    });
     (low - margin, high + margin)
 }
 
@@ -31,8 +33,17 @@ impl Silhouette {
         let size = extent.to_array().map(|e| (e / step).ceil() as usize + 1);
         let place = |n: usize| low + Vec2::new((n % size[0]) as f32, (n / size[0]) as f32) * step;
         let outline = Outline::new(outline.to_vec());
-        let values = (0..size[0] * size[1]).into_par_iter().with_min_len(64).map(|n| outline.signed_distance(place(n))).collect();
-        Self { low, step, size, values }
+        let values = (0..size[0] * size[1])
+            .into_par_iter()
+            .with_min_len(64)
+            .map(|n| outline.signed_distance(place(n)))
+            .collect();
+        Self {
+            low,
+            step,
+            size,
+            values,
+        }
     }
 
     /// The distance at a point; none outside the grid.

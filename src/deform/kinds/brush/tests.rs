@@ -11,9 +11,26 @@ const SIZE: Vec3 = Vec3::splat(80.0);
 fn field_in(strokes: &[&str], progress: f32, world_from_local: Affine3A) -> Result<Box<dyn Field>> {
     let library = Library::without_volume(PathBuf::new());
     let mut settings = Arguments::default();
-    settings.insert("strokes", Argument::Texts(strokes.iter().map(|s| (*s).to_owned()).collect()));
-    let sampling = Sampling { resolution: None, storage: Storage::F16, min_ramp_mm: 3.0 };
-    KIND.field(&[], progress, SIZE, &sampling, &FieldInputs { settings: &settings, world_from_local, library: &library })
+    settings.insert(
+        "strokes",
+        Argument::Texts(strokes.iter().map(|s| (*s).to_owned()).collect()),
+    );
+    let sampling = Sampling {
+        resolution: None,
+        storage: Storage::F16,
+        min_ramp_mm: 3.0,
+    };
+    KIND.field(
+        &[],
+        progress,
+        SIZE,
+        &sampling,
+        &FieldInputs {
+            settings: &settings,
+            world_from_local,
+            library: &library,
+        },
+    )
 }
 
 fn field(strokes: &[&str]) -> Box<dyn Field> {
@@ -23,13 +40,16 @@ fn field(strokes: &[&str]) -> Box<dyn Field> {
 /// Points spread evenly over the box.
 fn points() -> impl Iterator<Item = Vec3> {
     (0..6000).map(|i| {
-        let share = [0.819_172_5, 0.671_043_6, 0.549_700_5].map(|a: f64| (0.5 + a * f64::from(i)).fract() as f32 - 0.5);
+        let share = [0.819_172_5, 0.671_043_6, 0.549_700_5]
+            .map(|a: f64| (0.5 + a * f64::from(i)).fract() as f32 - 0.5);
         Vec3::from(share) * SIZE
     })
 }
 
 fn largest(field: &dyn Field) -> f32 {
-    points().map(|p| field.backward(p).source.distance(p)).fold(0.0, f32::max)
+    points()
+        .map(|p| field.backward(p).source.distance(p))
+        .fold(0.0, f32::max)
 }
 
 fn cut(field: &dyn Field, x: f32, y: f32, z: f32) -> f32 {
@@ -39,8 +59,11 @@ fn cut(field: &dyn Field, x: f32, y: f32, z: f32) -> f32 {
 /// Smallest det J over the box, by central differences over half a texel.
 fn min_determinant(field: &dyn Field) -> f32 {
     let h = 0.6;
-    let column = |p: Vec3, e: Vec3| (field.backward(p + e * h).source - field.backward(p - e * h).source) / (2.0 * h);
-    points().map(|p| Mat3::from_cols(column(p, Vec3::X), column(p, Vec3::Y), column(p, Vec3::Z)).determinant()).fold(f32::INFINITY, f32::min)
+    let column =
+        |p: Vec3, e: Vec3| (field.backward(p + e * h).source - field.backward(p - e * h).source) / (2.0 * h);
+    points()
+        .map(|p| Mat3::from_cols(column(p, Vec3::X), column(p, Vec3::Y), column(p, Vec3::Z)).determinant())
+        .fold(f32::INFINITY, f32::min)
 }
 
 #[test]
@@ -51,7 +74,10 @@ fn a_push_carries_matter_along() {
     assert!(at_end.distance(start) < 3.0, "{at_end}");
     let ahead = field.backward(Vec3::new(12.0, 0.0, 0.0)).source;
     assert!(ahead.distance(start) < 6.0 && ahead.x > at_end.x, "{ahead}");
-    assert!(largest(field.as_ref()) <= 20.01, "moved further than the stroke is long");
+    assert!(
+        largest(field.as_ref()) <= 20.01,
+        "moved further than the stroke is long"
+    );
     let beside = Vec3::new(5.0, 17.5, 0.0);
     assert_eq!(field.backward(beside).source, beside);
 }
@@ -72,7 +98,10 @@ fn pushes_do_not_fold() {
             assert!(det > 0.0, "{stroke} at {progress}: {det}");
             for p in points() {
                 let on_face = Vec3::new(40.0, p.y, p.z);
-                assert!(field.backward(on_face).source.distance(on_face) < 1e-3, "{stroke} moves {on_face}");
+                assert!(
+                    field.backward(on_face).source.distance(on_face) < 1e-3,
+                    "{stroke} moves {on_face}"
+                );
             }
         }
     }
@@ -82,7 +111,10 @@ fn pushes_do_not_fold() {
 fn cuts_travel_with_their_matter() {
     let field = field(&["cut 5 1 -10 0 0", "push 18 1 -10 0 0 10 0 0"]);
     assert!(cut(field.as_ref(), 10.0, 0.0, 0.0) < -1.0);
-    assert!(cut(field.as_ref(), -10.0, 0.0, 0.0) > 0.0, "what lies behind has filled the hole");
+    assert!(
+        cut(field.as_ref(), -10.0, 0.0, 0.0) > 0.0,
+        "what lies behind has filled the hole"
+    );
 }
 
 #[test]
@@ -104,7 +136,10 @@ fn a_tube_is_cut_where_it_says() {
 
 #[test]
 fn what_is_put_back_leaves_no_trace() {
-    for strokes in [["cut 8 1 -10 3 0 12 0 5", "restore 8 1 -10 3 0 12 0 5"], ["cut 8 1 -10 3 0 12 0 5", "restore 20 1 -10 3 0 12 0 5"]] {
+    for strokes in [
+        ["cut 8 1 -10 3 0 12 0 5", "restore 8 1 -10 3 0 12 0 5"],
+        ["cut 8 1 -10 3 0 12 0 5", "restore 20 1 -10 3 0 12 0 5"],
+    ] {
         let field = field(&strokes);
         for p in points() {
             let cut = field.backward(p).cut_distance_mm;
@@ -114,7 +149,13 @@ fn what_is_put_back_leaves_no_trace() {
     let in_part = field(&["cut 10 1 -15 0 0 15 0 0", "restore 5 1 0 0 0"]);
     let at = |x| cut(in_part.as_ref(), x, 0.0, 0.0);
     // At the centre of a small ball, first-order sweeps are too low: by h ln(R/h), 1.7 mm here.
-    assert!((3.0..5.5).contains(&at(0.0)) && at(4.0) > 0.0 && at(6.0) < 0.0 && at(10.0) < -3.0, "{} {} {}", at(0.0), at(6.0), at(10.0));
+    assert!(
+        (3.0..5.5).contains(&at(0.0)) && at(4.0) > 0.0 && at(6.0) < 0.0 && at(10.0) < -3.0,
+        "{} {} {}",
+        at(0.0),
+        at(6.0),
+        at(10.0)
+    );
 }
 
 #[test]
@@ -122,16 +163,31 @@ fn outlines_are_cut_and_put_back() {
     let square = "0 0 5 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10";
     let parallel = field(&[&format!("lasso-cut 0 {square}")]);
     for z in [-38.0, 0.0, 38.0] {
-        assert!(cut(parallel.as_ref(), 0.0, 0.0, z) < 0.0 && cut(parallel.as_ref(), 9.0, 9.0, z) < 0.0, "{z}");
+        assert!(
+            cut(parallel.as_ref(), 0.0, 0.0, z) < 0.0 && cut(parallel.as_ref(), 9.0, 9.0, z) < 0.0,
+            "{z}"
+        );
         assert!((cut(parallel.as_ref(), 12.0, 0.0, z) - 2.0).abs() < 0.3, "{z}");
         assert_eq!(cut(parallel.as_ref(), 25.0, 0.0, z), NO_CUT_DISTANCE_MM, "{z}");
     }
     // The eye is on the side of +z: the outline is wider behind its plane.
     let conical = field(&["lasso-cut 100 0 0 0 1 0 0 0 1 0 -10 -10 10 -10 10 10 -10 10"]);
-    for (x, z, want) in [(12.0, -30.0, -1.0), (14.0, -30.0, 1.0), (8.0, 30.0, 1.0), (6.0, 30.0, -1.0)] {
-        assert!((cut(conical.as_ref(), x, 0.0, z) - want).abs() < 0.3, "{x} {z}: {}", cut(conical.as_ref(), x, 0.0, z));
+    for (x, z, want) in [
+        (12.0, -30.0, -1.0),
+        (14.0, -30.0, 1.0),
+        (8.0, 30.0, 1.0),
+        (6.0, 30.0, -1.0),
+    ] {
+        assert!(
+            (cut(conical.as_ref(), x, 0.0, z) - want).abs() < 0.3,
+            "{x} {z}: {}",
+            cut(conical.as_ref(), x, 0.0, z)
+        );
     }
-    let back = field(&[&format!("lasso-cut 0 {square}"), &format!("lasso-restore 0 {square}")]);
+    let back = field(&[
+        &format!("lasso-cut 0 {square}"),
+        &format!("lasso-restore 0 {square}"),
+    ]);
     assert!(points().all(|p| back.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM));
     // Half applied, it is narrower.
     let halfway = field_in(&[&format!("lasso-cut 0 {square}")], 0.5, Affine3A::IDENTITY).unwrap();
@@ -151,16 +207,22 @@ fn smoothing_evens_out() {
 fn nothing_is_done_without_strokes_or_strength() {
     let strokes = ["push 15 1 -10 0 0 10 0 0", "cut 6 1 0 0 0", "smooth 9 1 0 0 0"];
     for field in [field(&[]), field_in(&strokes, 0.0, Affine3A::IDENTITY).unwrap()] {
-        assert!(
-            points().all(|p| field.backward(p).source == p && field.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM && field.forward(p) == Some(p))
-        );
+        assert!(points().all(|p| field.backward(p).source == p
+            && field.backward(p).cut_distance_mm == NO_CUT_DISTANCE_MM
+            && field.forward(p) == Some(p)));
     }
 }
 
 #[test]
 fn strokes_are_in_the_world() {
-    let world_from_local = Affine3A::from_translation(Vec3::new(100.0, 20.0, -5.0)) * Affine3A::from_rotation_z(0.7);
-    let field = field_in(&["cut 6 1 110 25 0", "push 10 1 95 20 -5 90 20 -5"], 1.0, world_from_local).unwrap();
+    let world_from_local =
+        Affine3A::from_translation(Vec3::new(100.0, 20.0, -5.0)) * Affine3A::from_rotation_z(0.7);
+    let field = field_in(
+        &["cut 6 1 110 25 0", "push 10 1 95 20 -5 90 20 -5"],
+        1.0,
+        world_from_local,
+    )
+    .unwrap();
     let local = |x, y, z| world_from_local.inverse().transform_point3(Vec3::new(x, y, z));
     assert!(field.backward(local(110.0, 25.0, 0.0)).cut_distance_mm < -4.0);
     let at_end = world_from_local.transform_point3(field.backward(local(90.0, 20.0, -5.0)).source);
@@ -184,14 +246,25 @@ fn odd_strokes_give_finite_values() {
     ]);
     for p in points() {
         let b = field.backward(p);
-        assert!(b.source.is_finite() && b.cut_distance_mm.is_finite(), "{p}: {b:?}");
+        assert!(
+            b.source.is_finite() && b.cut_distance_mm.is_finite(),
+            "{p}: {b:?}"
+        );
     }
 }
 
 #[test]
 fn refusals_name_the_stroke() {
-    let refusal = |strokes: &[&str]| field_in(strokes, 1.0, Affine3A::IDENTITY).err().map(|e| e.to_string()).unwrap_or_default();
-    assert!(refusal(&["cut 5 1 0 0 0", "ctu 5 1 0 0 0"]).contains("stroke 2: \"ctu\" is not a tool; did you mean \"cut\"?"));
+    let refusal = |strokes: &[&str]| {
+        field_in(strokes, 1.0, Affine3A::IDENTITY)
+            .err()
+            .map(|e| e.to_string())
+            .unwrap_or_default()
+    };
+    assert!(
+        refusal(&["cut 5 1 0 0 0", "ctu 5 1 0 0 0"])
+            .contains("stroke 2: \"ctu\" is not a tool; did you mean \"cut\"?")
+    );
     assert!(refusal(&["cut 5 1 0 0 0"; MAX_STROKES + 1]).contains("at most 4096"));
     let long = format!("cut 5 1{}", " 1 2 3".repeat(MAX_POINTS / 2));
     assert!(refusal(&[&long, &long, "cut 5 1 0 0 0"]).contains("at most 200000"));

@@ -13,7 +13,9 @@ use egui_phosphor::regular as icon;
 
 /// A mesh's look and place.
 pub(super) fn show_mesh(ui: &mut Ui, doc: &Document, n: usize, requests: &mut Requests) {
-    let Some(before) = doc.scene.mesh.get(n) else { return };
+    let Some(before) = doc.scene.mesh.get(n) else {
+        return;
+    };
     let mut mesh = before.clone();
     ui.horizontal(|ui| {
         let mut shown = !mesh.hidden;
@@ -21,7 +23,9 @@ pub(super) fn show_mesh(ui: &mut Ui, doc: &Document, n: usize, requests: &mut Re
             mesh.hidden = !shown;
         }
         if icon_button(ui, icon::TRASH, "Delete").clicked() {
-            requests.0.push(Request::PerformOn(Selection::Mesh(n), Action::Delete));
+            requests
+                .0
+                .push(Request::PerformOn(Selection::Mesh(n), Action::Delete));
         }
     });
     ui.checkbox(&mut mesh.rigid, "Not deformed");
@@ -43,14 +47,20 @@ fn show_look(ui: &mut Ui, appearance: &mut Appearance, general: &Appearance) {
     ui.horizontal(|ui| {
         ui.label("Look");
         let now = appearance.look.clone().unwrap_or_else(|| "default".into());
-        egui::ComboBox::from_id_salt("look").selected_text(now).show_ui(ui, |ui| {
-            for look in crate::scene::surface::look_names() {
-                if ui.selectable_label(appearance.look.as_deref() == Some(look), look).clicked() {
-                    let a = &mut *appearance;
-                    (a.look, a.color, a.inside_color, a.cut_color) = (Some(look.to_owned()), None, None, None);
+        egui::ComboBox::from_id_salt("look")
+            .selected_text(now)
+            .show_ui(ui, |ui| {
+                for look in crate::scene::surface::look_names() {
+                    if ui
+                        .selectable_label(appearance.look.as_deref() == Some(look), look)
+                        .clicked()
+                    {
+                        let a = &mut *appearance;
+                        (a.look, a.color, a.inside_color, a.cut_color) =
+                            (Some(look.to_owned()), None, None, None);
+                    }
                 }
-            }
-        });
+            });
     });
     if let Some(look) = look {
         ui.horizontal(|ui| {
@@ -72,8 +82,15 @@ fn show_look(ui: &mut Ui, appearance: &mut Appearance, general: &Appearance) {
 fn show_interior(ui: &mut Ui, appearance: &mut Appearance) {
     ui.horizontal(|ui| {
         ui.label("Interior");
-        for (model, word) in [(CutModel::Hollow, "hollow"), (CutModel::Thick, "thick"), (CutModel::Solid, "solid")] {
-            if ui.selectable_label(appearance.model == Some(model), word).clicked() {
+        for (model, word) in [
+            (CutModel::Hollow, "hollow"),
+            (CutModel::Thick, "thick"),
+            (CutModel::Solid, "solid"),
+        ] {
+            if ui
+                .selectable_label(appearance.model == Some(model), word)
+                .clicked()
+            {
                 appearance.model = Some(model);
             }
         }
@@ -90,7 +107,13 @@ fn show_placement(ui: &mut Ui, place: &mut MeshPlace, mesh_box: &Bounds) {
         Some(center) => {
             three(ui, center, 0.5, "", "Centre");
         }
-        None if ui.button("Move").on_hover_text("Currently placed by its file").clicked() => place.center = Some(tidy(mesh_box.center())),
+        None if ui
+            .button("Move")
+            .on_hover_text("Currently placed by its file")
+            .clicked() =>
+        {
+            place.center = Some(tidy(mesh_box.center()))
+        }
         None => {}
     }
     if name(ui, "Turned (degrees)", "About x, then y, then z") {

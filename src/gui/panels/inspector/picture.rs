@@ -32,16 +32,32 @@ pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut 
 
 /// A slider with its name and a tip.
 fn slider(ui: &mut Ui, v: &mut f32, range: RangeInclusive<f32>, word: &str, tip: &str) {
-    ui.add(Slider::new(v, range).clamping(egui::SliderClamping::Edits).text(word).max_decimals(2)).on_hover_text(tip);
+    ui.add(
+        Slider::new(v, range)
+            .clamping(egui::SliderClamping::Edits)
+            .text(word)
+            .max_decimals(2),
+    )
+    .on_hover_text(tip);
 }
 
 /// Step length and antialiasing.
 fn show_sampling(ui: &mut Ui, render: &mut RenderSettings) {
-    ui.add(Slider::new(&mut render.step, 0.1..=4.0).clamping(egui::SliderClamping::Edits).logarithmic(true).text("step").max_decimals(2))
-        .on_hover_text("Step length: distance between samples, in voxels");
+    ui.add(
+        Slider::new(&mut render.step, 0.1..=4.0)
+            .clamping(egui::SliderClamping::Edits)
+            .logarithmic(true)
+            .text("step")
+            .max_decimals(2),
+    )
+    .on_hover_text("Step length: distance between samples, in voxels");
     let mut antialias = render.antialias;
-    ui.add(Slider::new(&mut antialias, 1..=4).clamping(egui::SliderClamping::Edits).text("antialias"))
-        .on_hover_text("Samples averaged along each edge of a pixel");
+    ui.add(
+        Slider::new(&mut antialias, 1..=4)
+            .clamping(egui::SliderClamping::Edits)
+            .text("antialias"),
+    )
+    .on_hover_text("Samples averaged along each edge of a pixel");
     render.antialias = antialias;
 }
 
@@ -58,8 +74,24 @@ fn show_shading(ui: &mut Ui, render: &mut RenderSettings, volume: &Volume) {
             (Normals::None, "none (unshaded)"),
         ],
     );
-    choice(ui, "Gradients", &mut render.gradient, &[(GradientFilter::Central, "central differences"), (GradientFilter::Sobel, "Sobel")]);
-    choice(ui, "Cut faces", &mut render.cut_faces, &[(CutFaces::Lit, "shaded by the transfer function"), (CutFaces::Grey, "grey values, unshaded")]);
+    choice(
+        ui,
+        "Gradients",
+        &mut render.gradient,
+        &[
+            (GradientFilter::Central, "central differences"),
+            (GradientFilter::Sobel, "Sobel"),
+        ],
+    );
+    choice(
+        ui,
+        "Cut faces",
+        &mut render.cut_faces,
+        &[
+            (CutFaces::Lit, "shaded by the transfer function"),
+            (CutFaces::Grey, "grey values, unshaded"),
+        ],
+    );
     let mut iso = render.iso.is_some();
     ui.horizontal(|ui| {
         if ui.checkbox(&mut iso, "Iso-surface at").changed() {
@@ -70,7 +102,8 @@ fn show_shading(ui: &mut Ui, render: &mut RenderSettings, volume: &Volume) {
             ui.add(DragValue::new(v).speed(speed).max_decimals(2));
         }
     });
-    ui.checkbox(&mut render.exact_cuts, "Exact cuts").on_hover_text("Cuts at the end of the stack as formulas instead of masks");
+    ui.checkbox(&mut render.exact_cuts, "Exact cuts")
+        .on_hover_text("Cuts at the end of the stack as formulas instead of masks");
 }
 
 /// The iso-value of the surface that is shown in place of the volume.
@@ -88,17 +121,49 @@ fn show_iso_value(ui: &mut Ui, surface: &mut SurfaceSettings, volume: &Volume) {
 fn show_light(ui: &mut Ui, light: &mut Light) {
     heading(ui, "Light");
     slider(ui, &mut light.ambient, 0.0..=1.0, "ambient", "Ambient light");
-    slider(ui, &mut light.diffuse, 0.0..=1.0, "diffuse", "Diffuse reflection of the light");
-    slider(ui, &mut light.specular, 0.0..=1.0, "specular", "Strength of the specular highlight");
-    slider(ui, &mut light.shininess, 1.0..=200.0, "shininess", "Specular exponent; higher is tighter");
+    slider(
+        ui,
+        &mut light.diffuse,
+        0.0..=1.0,
+        "diffuse",
+        "Diffuse reflection of the light",
+    );
+    slider(
+        ui,
+        &mut light.specular,
+        0.0..=1.0,
+        "specular",
+        "Strength of the specular highlight",
+    );
+    slider(
+        ui,
+        &mut light.shininess,
+        1.0..=200.0,
+        "shininess",
+        "Specular exponent; higher is tighter",
+    );
     ui.checkbox(&mut light.follows_camera, "Headlight (moves with the camera)");
 }
 
 /// Projection, field of view and background.
 fn show_camera(ui: &mut Ui, scene: &mut Scene) {
     heading(ui, "Camera");
-    choice(ui, "Projection", &mut scene.camera.projection, &[(Projection::Perspective, "perspective"), (Projection::Orthographic, "orthographic")]);
-    slider(ui, &mut scene.camera.field_of_view, 5.0..=100.0, "field of view", "Vertical field of view in degrees");
+    choice(
+        ui,
+        "Projection",
+        &mut scene.camera.projection,
+        &[
+            (Projection::Perspective, "perspective"),
+            (Projection::Orthographic, "orthographic"),
+        ],
+    );
+    slider(
+        ui,
+        &mut scene.camera.field_of_view,
+        5.0..=100.0,
+        "field of view",
+        "Vertical field of view in degrees",
+    );
     ui.horizontal(|ui| {
         ui.label("Background");
         let [r, g, b, a] = scene.render.background;

@@ -19,8 +19,17 @@ pub(super) fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str
     ui.horizontal(|ui| {
         ui.spacing_mut().item_spacing.x = 3.0;
         for (axis, v) in ["x", "y", "z"].into_iter().zip(values) {
-            let response = ui.add(DragValue::new(v).speed(speed).max_decimals(2).suffix(suffix).range(-1e5..=1e5).clamp_existing_to_range(false));
-            response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::DragValue, true, format!("{label} {axis}")));
+            let response = ui.add(
+                DragValue::new(v)
+                    .speed(speed)
+                    .max_decimals(2)
+                    .suffix(suffix)
+                    .range(-1e5..=1e5)
+                    .clamp_existing_to_range(false),
+            );
+            response.widget_info(|| {
+                egui::WidgetInfo::labeled(egui::WidgetType::DragValue, true, format!("{label} {axis}"))
+            });
             changed |= response.changed();
         }
     });
@@ -32,11 +41,15 @@ pub(super) fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T
     ui.horizontal(|ui| {
         ui.label(word);
         let now = all.iter().find(|(v, _)| v == value).map_or("", |(_, w)| w);
-        let combo = egui::ComboBox::from_id_salt(word).selected_text(now).show_ui(ui, |ui| {
-            for (v, w) in all {
-                ui.selectable_value(value, *v, *w);
-            }
-        });
-        combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, word));
+        let combo = egui::ComboBox::from_id_salt(word)
+            .selected_text(now)
+            .show_ui(ui, |ui| {
+                for (v, w) in all {
+                    ui.selectable_value(value, *v, *w);
+                }
+            });
+        combo
+            .response
+            .widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, word));
     });
 }

@@ -36,11 +36,19 @@ struct RejectedInput {
 /// Parses the text of a setting; files are looked for in the scene's folder.
 fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument>, String> {
     let argument = setting.parse(text)?;
-    for file in argument.iter().flat_map(|a| setting.files(a)).filter(|f| !f.starts_with("phantom:")) {
+    for file in argument
+        .iter()
+        .flat_map(|a| setting.files(a))
+        .filter(|f| !f.starts_with("phantom:"))
+    {
         if !folder.join(path_of(file)).exists() {
             return Err(format!(
                 "{file}: file not found in {}",
-                if folder.as_os_str().is_empty() { "the current folder".into() } else { folder.display().to_string() }
+                if folder.as_os_str().is_empty() {
+                    "the current folder".into()
+                } else {
+                    folder.display().to_string()
+                }
             ));
         }
     }
@@ -54,7 +62,11 @@ pub(super) fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &
     match setting.form {
         SettingFormat::Flag => {
             let mut on = d.parameters.flag(key).unwrap_or(false);
-            if ui.checkbox(&mut on, capital(key)).on_hover_text(setting.about).changed() {
+            if ui
+                .checkbox(&mut on, capital(key))
+                .on_hover_text(setting.about)
+                .changed()
+            {
                 d.parameters.0.remove(key);
                 if on {
                     d.parameters.insert(key, Argument::Flag(true));
@@ -64,25 +76,34 @@ pub(super) fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &
         SettingFormat::Choice(all) | SettingFormat::OneOf(all) => {
             let default = matches!(setting.form, SettingFormat::Choice(_)).then(|| all[0]);
             let now = setting_text(d.parameters.0.get(key));
-            let shown = if now.is_empty() { default.unwrap_or("from the file") } else { &now };
+            let shown = if now.is_empty() {
+                default.unwrap_or("from the file")
+            } else {
+                &now
+            };
             ui.horizontal(|ui| {
                 if name(ui, &capital(key), setting.about) {
                     d.parameters.0.remove(key);
                 }
-                let combo = egui::ComboBox::from_id_salt((place, key)).selected_text(shown).show_ui(ui, |ui| {
-                    if default.is_none() && ui.selectable_label(now.is_empty(), "from the file").clicked() {
-                        d.parameters.0.remove(key);
-                    }
-                    for word in all {
-                        if ui.selectable_label(shown == *word, *word).clicked() {
+                let combo = egui::ComboBox::from_id_salt((place, key))
+                    .selected_text(shown)
+                    .show_ui(ui, |ui| {
+                        if default.is_none() && ui.selectable_label(now.is_empty(), "from the file").clicked()
+                        {
                             d.parameters.0.remove(key);
-                            if default != Some(*word) {
-                                d.parameters.insert(key, *word);
+                        }
+                        for word in all {
+                            if ui.selectable_label(shown == *word, *word).clicked() {
+                                d.parameters.0.remove(key);
+                                if default != Some(*word) {
+                                    d.parameters.insert(key, *word);
+                                }
                             }
                         }
-                    }
+                    });
+                combo.response.widget_info(|| {
+                    egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, capital(key))
                 });
-                combo.response.widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, capital(key)));
             });
         }
         _ => text_setting(ui, d, place, setting, folder),
@@ -95,9 +116,13 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
     let id = ui.id().with(("setting", place, &d.kind, key));
     let refused_id = id.with("refused");
     let current_text = setting_text(d.parameters.0.get(key));
-    let refused = ui.data(|m| m.get_temp::<RejectedInput>(refused_id)).filter(|r| r.current_text == current_text);
+    let refused = ui
+        .data(|m| m.get_temp::<RejectedInput>(refused_id))
+        .filter(|r| r.current_text == current_text);
     let typed_before = ui.data(|m| m.get_temp::<String>(id));
-    let mut text = typed_before.or_else(|| refused.as_ref().map(|r| r.text.clone())).unwrap_or_else(|| current_text.clone());
+    let mut text = typed_before
+        .or_else(|| refused.as_ref().map(|r| r.text.clone()))
+        .unwrap_or_else(|| current_text.clone());
     ui.horizontal(|ui| {
         let name = label(ui, &capital(key), setting.about);
         if name.double_clicked() {
@@ -105,7 +130,8 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
             ui.data_mut(|m| m.remove::<RejectedInput>(refused_id));
             text.clear();
         }
-        let mut edit = egui::TextEdit::singleline(&mut text).desired_width((ui.available_width() - 10.0).max(30.0));
+        let mut edit =
+            egui::TextEdit::singleline(&mut text).desired_width((ui.available_width() - 10.0).max(30.0));
         if refused.is_some() {
             edit = edit.text_color(ui.visuals().error_fg_color);
         }
@@ -124,14 +150,22 @@ fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Settin
                     d.parameters.0.remove(key);
                 }
                 Err(problem) => {
-                    let refused = RejectedInput { text, problem, current_text: current_text.clone() };
+                    let refused = RejectedInput {
+                        text,
+                        problem,
+                        current_text: current_text.clone(),
+                    };
                     ui.data_mut(|m| m.insert_temp(refused_id, refused));
                 }
             }
         }
     });
     if let Some(RejectedInput { problem, .. }) = refused {
-        let again = if current_text.is_empty() { "The setting is empty.".to_owned() } else { format!("The setting is still {current_text}.") };
+        let again = if current_text.is_empty() {
+            "The setting is empty.".to_owned()
+        } else {
+            format!("The setting is still {current_text}.")
+        };
         ui.label(RichText::new(format!("{problem}. {again}")).color(ui.visuals().error_fg_color));
     }
 }
@@ -150,9 +184,16 @@ mod tests {
             (SettingFormat::Rows(3), Argument::Numbers(vec![1.0, 2.0, -3.5])),
             (SettingFormat::Words, Argument::Text("left side".into())),
             (SettingFormat::File, Argument::Text("labels.nii.gz".into())),
-            (SettingFormat::Files, Argument::Texts(vec!["a.mat".into(), "b.nii".into()])),
+            (
+                SettingFormat::Files,
+                Argument::Texts(vec!["a.mat".into(), "b.nii".into()]),
+            ),
         ] {
-            let setting = Setting { name: "x", form, about: "" };
+            let setting = Setting {
+                name: "x",
+                form,
+                about: "",
+            };
             assert_eq!(setting.parse(&setting_text(Some(&argument))), Ok(Some(argument)));
         }
     }
@@ -160,10 +201,17 @@ mod tests {
     #[test]
     fn files_are_looked_for() {
         let folder = tempfile::tempdir().unwrap();
-        let setting = Setting { name: "labels", form: SettingFormat::File, about: "" };
+        let setting = Setting {
+            name: "labels",
+            form: SettingFormat::File,
+            about: "",
+        };
         assert!(typed(&setting, "labels.nii", folder.path()).is_err_and(|e| e.contains("file not found")));
         std::fs::write(folder.path().join("labels.nii"), "").unwrap();
-        assert_eq!(typed(&setting, "labels.nii", folder.path()), Ok(Some(Argument::Text("labels.nii".into()))));
+        assert_eq!(
+            typed(&setting, "labels.nii", folder.path()),
+            Ok(Some(Argument::Text("labels.nii".into())))
+        );
         assert!(typed(&setting, "phantom:octants", folder.path()).is_ok());
     }
 }

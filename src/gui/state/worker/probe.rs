@@ -64,8 +64,16 @@ impl Prober {
         let (ask, questions) = channel::<ProbeRequest>();
         let (answer, answers) = channel();
         let ctx = ctx.clone();
-        let thread = std::thread::Builder::new().name("prober".into()).spawn(move || probe(&questions, &answer, &ctx)).ok();
-        Self { ask: Some(ask), answers, thread, open: 0 }
+        let thread = std::thread::Builder::new()
+            .name("prober".into())
+            .spawn(move || probe(&questions, &answer, &ctx))
+            .ok();
+        Self {
+            ask: Some(ask),
+            answers,
+            thread,
+            open: 0,
+        }
     }
 
     /// Submits a request.
@@ -98,14 +106,26 @@ fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: 
     while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
         let (scene, assets) = (question.scene.clone(), question.assets.clone());
         let prepare = || Prepared::new(&scene, &assets);
-        let fault = || Error::value("picking", "failed because of an internal error; the scene is intact");
+        let fault = || {
+            Error::value(
+                "picking",
+                "failed because of an internal error; the scene is intact",
+            )
+        };
         let prepared = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match &pool {
             Some(pool) => pool.install(prepare),
             None => prepare(),
         }))
         .unwrap_or_else(|_| Err(fault()));
         let reply = |question: ProbeRequest, pick: Result<Option<Pick>>| {
-            let sent = answer.send(ProbeResult { at: question.at, purpose: question.purpose, pick, assets: question.assets }).is_ok();
+            let sent = answer
+                .send(ProbeResult {
+                    at: question.at,
+                    purpose: question.purpose,
+                    pick,
+                    assets: question.assets,
+                })
+                .is_ok();
             ctx.request_repaint();
             sent
         };
@@ -122,12 +142,18 @@ fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: 
         let mut current = Some(question);
         while let Some(question) = current.take() {
             let [u, v] = question.at;
-            let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| pick::at(&prepared, range, u, v)));
+            let found =
+                std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| pick::at(&prepared, range, u, v)));
             if !reply(question, found.map_err(|_| fault())) {
                 return;
             }
             match questions.recv() {
-                Ok(q) if Arc::ptr_eq(&q.assets, &assets) && (Arc::ptr_eq(&q.scene, &scene) || q.scene == scene) => current = Some(q),
+                Ok(q)
+                    if Arc::ptr_eq(&q.assets, &assets)
+                        && (Arc::ptr_eq(&q.scene, &scene) || q.scene == scene) =>
+                {
+                    current = Some(q)
+                }
                 Ok(q) => next = Some(q),
                 Err(_) => return,
             }

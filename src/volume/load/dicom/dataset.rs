@@ -61,8 +61,11 @@ impl Opened {
         let start = self.reader.stream_position()?;
         let end = self.reader.seek(SeekFrom::End(0))?;
         self.reader.seek(SeekFrom::Start(start))?;
-        let syntax = TransferSyntaxRegistry.get(&self.dataset).ok_or_else(|| invalid("an unknown transfer syntax".into()))?;
-        let tokens = LazyDataSetReader::new_with_ts(self.reader, syntax).map_err(|e| invalid(one_line(&e)))?;
+        let syntax = TransferSyntaxRegistry
+            .get(&self.dataset)
+            .ok_or_else(|| invalid("an unknown transfer syntax".into()))?;
+        let tokens =
+            LazyDataSetReader::new_with_ts(self.reader, syntax).map_err(|e| invalid(one_line(&e)))?;
         Ok((tokens, end))
     }
 
@@ -89,11 +92,15 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
         match token.map_err(|e| one_line(&e))? {
             // Pixels in a sequence belong to an icon.
             LazyDataToken::PixelSequenceStart if depth == 0 => return Ok(()),
-            LazyDataToken::LazyValue { header, .. } if header.tag == tags::PIXEL_DATA && depth == 0 => return Ok(()),
+            LazyDataToken::LazyValue { header, .. } if header.tag == tags::PIXEL_DATA && depth == 0 => {
+                return Ok(());
+            }
             LazyDataToken::LazyValue { header, decoder } => pass(decoder, header.length().0, end)?,
             LazyDataToken::LazyItemValue { len, decoder } => pass(decoder, len, end)?,
             // The parser used afterwards descends by recursion.
-            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart if depth == MAX_NESTED_SEQUENCES => {
+            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart
+                if depth == MAX_NESTED_SEQUENCES =>
+            {
                 return Err(format!("its sequences are more than {MAX_NESTED_SEQUENCES} deep"));
             }
             LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
@@ -107,32 +114,54 @@ fn check_lengths(opened: Opened) -> Result<(), String> {
 /// Opens an object; `most` limits the unpacked size of a deflated one.
 pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let path = source.path();
-    let damaged = |e: String| Error::file(path, format!("is not a readable DICOM file ({e}); copy or export it again"));
+    let damaged = |e: String| {
+        Error::file(
+            path,
+            format!("is not a readable DICOM file ({e}); copy or export it again"),
+        )
+    };
     let io = |e: std::io::Error| Error::io(path, "reading", e);
     let mut start = Vec::new();
     source.open(132)?.take(132).read_to_end(&mut start).map_err(io)?;
     if !is_dicom(&start) {
         return Err(Error::file(path, "is not a DICOM file"));
     }
-    let magic = if start.len() >= 132 && &start[128..132] == b"DICM" { 132 } else { 4 };
+    let magic = if start.len() >= 132 && &start[128..132] == b"DICM" {
+        132
+    } else {
+        4
+    };
     if magic == 4 && bare_dataset(&start) {
         let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
         let syntax = if explicit { EXPLICIT } else { IMPLICIT };
-        return Ok(Opened { reader: source.open(most)?, dataset: syntax.to_owned(), syntax: syntax.to_owned() });
+        return Ok(Opened {
+            reader: source.open(most)?,
+            dataset: syntax.to_owned(),
+            syntax: syntax.to_owned(),
+        });
     }
     let mut reader = source.open(most)?;
     reader.seek(SeekFrom::Start(magic)).map_err(io)?;
-    let (syntax, length) = meta(&mut reader).ok_or_else(|| damaged("its first elements are damaged or end too early".into()))?;
+    let (syntax, length) =
+        meta(&mut reader).ok_or_else(|| damaged("its first elements are damaged or end too early".into()))?;
     reader.seek(SeekFrom::Start(magic + length)).map_err(io)?;
     if syntax != DEFLATED {
         // Retired compressed syntaxes use an explicit data set like all others.
         let dataset = TransferSyntaxRegistry.get(&syntax).map_or(EXPLICIT, |s| s.uid());
-        return Ok(Opened { reader, dataset: dataset.to_owned(), syntax });
+        return Ok(Opened {
+            reader,
+            dataset: dataset.to_owned(),
+            syntax,
+        });
     }
     let limit = most.min(source.bytes().saturating_mul(DEFLATE_LIMIT));
     let bytes = input::start_of(path, flate2::read::DeflateDecoder::new(reader), limit)?;
     let reader: Box<dyn ReadSeek> = Box::new(Cursor::new(bytes));
-    Ok(Opened { reader: BufReader::new(reader), dataset: EXPLICIT.to_owned(), syntax })
+    Ok(Opened {
+        reader: BufReader::new(reader),
+        dataset: EXPLICIT.to_owned(),
+        syntax,
+    })
 }
 
 /// The transfer syntax in the meta information (group 0002, always explicit little endian), and its
@@ -151,7 +180,10 @@ fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
         let vr = &head[4..6];
         let (head_bytes, length) = if !vr.iter().all(u8::is_ascii_uppercase) {
             (8, u32::from_le_bytes([head[4], head[5], head[6], head[7]]))
-        } else if matches!(vr, b"OB" | b"OW" | b"OF" | b"OD" | b"OL" | b"SQ" | b"UN" | b"UT" | b"UC" | b"UR") {
+        } else if matches!(
+            vr,
+            b"OB" | b"OW" | b"OF" | b"OD" | b"OL" | b"SQ" | b"UN" | b"UT" | b"UC" | b"UR"
+        ) {
             let mut long = [0u8; 4];
             reader.read_exact(&mut long).ok()?;
             (12, u32::from_le_bytes(long))
@@ -162,17 +194,30 @@ fn meta(reader: &mut impl Read) -> Option<(String, u64)> {
             return None;
         }
         let mut value = Vec::new();
-        reader.by_ref().take(u64::from(length)).read_to_end(&mut value).ok()?;
+        reader
+            .by_ref()
+            .take(u64::from(length))
+            .read_to_end(&mut value)
+            .ok()?;
         if value.len() as u64 != u64::from(length) {
             return None;
         }
         if head[2..4] == [0x10, 0] {
-            syntax = String::from_utf8_lossy(&value).trim_matches(['\0', ' ']).to_owned();
+            syntax = String::from_utf8_lossy(&value)
+                .trim_matches(['\0', ' '])
+                .to_owned();
         }
         at += head_bytes + u64::from(length);
     }
     // Files without a transfer syntax use the default one.
-    Some((if syntax.is_empty() { IMPLICIT.to_owned() } else { syntax }, at))
+    Some((
+        if syntax.is_empty() {
+            IMPLICIT.to_owned()
+        } else {
+            syntax
+        },
+        at,
+    ))
 }
 
 /// An error message without the line breaks of nested errors.
@@ -187,7 +232,10 @@ pub fn one_line(error: &dyn std::error::Error) -> String {
 }
 
 fn damaged(source: &ObjectLocation, problem: &str) -> Error {
-    Error::file(source.path(), format!("is a damaged DICOM file ({problem}); copy or export it again"))
+    Error::file(
+        source.path(),
+        format!("is a damaged DICOM file ({problem}); copy or export it again"),
+    )
 }
 
 /// The transfer syntax of an object, and its elements before the pixels.
@@ -196,7 +244,10 @@ pub fn header(source: &ObjectLocation) -> Result<(String, InMemDicomObject)> {
     let opened = open(source, MAX_HEADER_BYTES)?;
     let syntax = opened.syntax.clone();
     let mut set = InMemDicomObject::new_empty();
-    opened.collector().read_dataset_up_to_pixeldata(&mut set).map_err(|e| damaged(source, &one_line(&e)))?;
+    opened
+        .collector()
+        .read_dataset_up_to_pixeldata(&mut set)
+        .map_err(|e| damaged(source, &one_line(&e)))?;
     Ok((syntax, set))
 }
 
@@ -204,6 +255,9 @@ pub fn header(source: &ObjectLocation) -> Result<(String, InMemDicomObject)> {
 pub fn whole(source: &ObjectLocation) -> Result<InMemDicomObject> {
     check_lengths(open(source, u64::MAX)?).map_err(|e| damaged(source, &e))?;
     let mut set = InMemDicomObject::new_empty();
-    open(source, u64::MAX)?.collector().read_dataset_to_end(&mut set).map_err(|e| damaged(source, &one_line(&e)))?;
+    open(source, u64::MAX)?
+        .collector()
+        .read_dataset_to_end(&mut set)
+        .map_err(|e| damaged(source, &one_line(&e)))?;
     Ok(set)
 }

@@ -5,12 +5,18 @@ use dicom_object::InMemDicomObject;
 
 /// The text of an element, without padding.
 pub fn text(set: &InMemDicomObject, tag: Tag) -> String {
-    set.get(tag).and_then(|e| e.to_str().ok()).map(|t| t.trim_matches(['\0', ' ']).trim().to_owned()).unwrap_or_default()
+    set.get(tag)
+        .and_then(|e| e.to_str().ok())
+        .map(|t| t.trim_matches(['\0', ' ']).trim().to_owned())
+        .unwrap_or_default()
 }
 
 /// Numbers of an element; none if it has none, or any cannot be parsed.
 pub fn numbers(set: &InMemDicomObject, tag: Tag) -> Option<Vec<f64>> {
-    set.get(tag)?.to_multi_float64().ok().filter(|v| !v.is_empty() && v.iter().all(|n| n.is_finite()))
+    set.get(tag)?
+        .to_multi_float64()
+        .ok()
+        .filter(|v| !v.is_empty() && v.iter().all(|n| n.is_finite()))
 }
 
 /// The first number of an element.
@@ -30,5 +36,7 @@ pub fn item(set: &InMemDicomObject, tag: Tag) -> Option<&InMemDicomObject> {
 
 /// An element as a whole number of 16 bits.
 pub fn whole_number(set: &InMemDicomObject, tag: Tag) -> Option<u16> {
-    number(set, tag).filter(|n| (0.0..=65_535.0).contains(n)).map(|n| n as u16)
+    number(set, tag)
+        .filter(|n| (0.0..=65_535.0).contains(n))
+        .map(|n| n as u16)
 }

@@ -34,7 +34,11 @@ impl PixelFormat {
 
     /// Bytes of an uncompressed frame; for 1-bit pixels, rounded up.
     pub fn frame_bytes(&self) -> usize {
-        if self.allocated == 1 { self.values().div_ceil(8) } else { self.values() * usize::from(self.allocated / 8) }
+        if self.allocated == 1 {
+            self.values().div_ceil(8)
+        } else {
+            self.values() * usize::from(self.allocated / 8)
+        }
     }
 }
 
@@ -71,7 +75,9 @@ struct FrameAttributes<'a> {
 impl<'a> FrameAttributes<'a> {
     /// The frame's own group, else the shared one.
     fn group(&self, tag: Tag) -> Option<&'a InMemDicomObject> {
-        self.own.and_then(|o| item(o, tag)).or_else(|| self.shared.and_then(|s| item(s, tag)))
+        self.own
+            .and_then(|o| item(o, tag))
+            .or_else(|| self.shared.and_then(|s| item(s, tag)))
     }
 
     /// The frame's own group, else the shared one, else the object itself.
@@ -89,21 +95,29 @@ impl<'a> FrameAttributes<'a> {
     /// Directions of increasing column and row.
     fn orientation(&self) -> Option<[DVec3; 2]> {
         let v = self.stated::<6>(tags::PLANE_ORIENTATION_SEQUENCE, tags::IMAGE_ORIENTATION_PATIENT)?;
-        Some([DVec3::new(v[0], v[1], v[2]).normalize_or_zero(), DVec3::new(v[3], v[4], v[5]).normalize_or_zero()])
+        Some([
+            DVec3::new(v[0], v[1], v[2]).normalize_or_zero(),
+            DVec3::new(v[3], v[4], v[5]).normalize_or_zero(),
+        ])
     }
 
     /// Centre of the first pixel, mm.
     fn position(&self) -> Option<DVec3> {
-        self.stated::<3>(tags::PLANE_POSITION_SEQUENCE, tags::IMAGE_POSITION_PATIENT).map(DVec3::from_array)
+        self.stated::<3>(tags::PLANE_POSITION_SEQUENCE, tags::IMAGE_POSITION_PATIENT)
+            .map(DVec3::from_array)
     }
 
     /// Distance between columns and between rows, mm; 0 if not stated.
     fn spacing(&self) -> [f64; 2] {
         let measures = self.group_or_object(tags::PIXEL_MEASURES_SEQUENCE);
-        let spacing = [tags::PIXEL_SPACING, tags::IMAGER_PIXEL_SPACING, tags::NOMINAL_SCANNED_PIXEL_SPACING]
-            .into_iter()
-            .find_map(|tag| vector::<2>(measures, tag).or_else(|| vector::<2>(self.object, tag)))
-            .filter(|s| s.iter().all(|v| *v > 0.0));
+        let spacing = [
+            tags::PIXEL_SPACING,
+            tags::IMAGER_PIXEL_SPACING,
+            tags::NOMINAL_SCANNED_PIXEL_SPACING,
+        ]
+        .into_iter()
+        .find_map(|tag| vector::<2>(measures, tag).or_else(|| vector::<2>(self.object, tag)))
+        .filter(|s| s.iter().all(|v| *v > 0.0));
         // Stored as the distance between rows, then between columns.
         spacing.map_or([0.0; 2], |[rows, columns]| [columns, rows])
     }
@@ -120,7 +134,9 @@ impl<'a> FrameAttributes<'a> {
     fn order(&self, n: usize) -> [f64; 5] {
         let (set, content) = (self.object, self.group(tags::FRAME_CONTENT_SEQUENCE));
         [
-            content.and_then(|c| number(c, tags::TEMPORAL_POSITION_INDEX)).or_else(|| number(set, tags::TEMPORAL_POSITION_IDENTIFIER)),
+            content
+                .and_then(|c| number(c, tags::TEMPORAL_POSITION_INDEX))
+                .or_else(|| number(set, tags::TEMPORAL_POSITION_IDENTIFIER)),
             number(set, tags::ACQUISITION_NUMBER),
             number(set, tags::ECHO_TIME),
             number(set, tags::TRIGGER_TIME),
@@ -131,38 +147,63 @@ impl<'a> FrameAttributes<'a> {
 
     /// Segment of a frame in a segmentation.
     fn segment(&self) -> u16 {
-        let segment = self.group(tags::SEGMENT_IDENTIFICATION_SEQUENCE).and_then(|s| number(s, tags::REFERENCED_SEGMENT_NUMBER));
+        let segment = self
+            .group(tags::SEGMENT_IDENTIFICATION_SEQUENCE)
+            .and_then(|s| number(s, tags::REFERENCED_SEGMENT_NUMBER));
         segment.map_or(1, |s| s as u16)
     }
 }
 
 /// Planes of an object, each with its geometry.
-pub fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, most: u64) -> Result<Vec<Frame>, String> {
+pub fn frames(
+    set: &InMemDicomObject,
+    format: &PixelFormat,
+    segmentation: bool,
+    most: u64,
+) -> Result<Vec<Frame>, String> {
     let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
     if !(1.0..=(MAX_FRAMES as u64).min(most) as f64).contains(&count) {
-        return Err(format!("declares {count} frames, which it cannot hold: it is truncated or its header is damaged; copy or export it again"));
+        return Err(format!(
+            "declares {count} frames, which it cannot hold: it is truncated or its header is damaged; copy or export it again"
+        ));
     }
     let count = count as usize;
     let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
-    let per_frame = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).and_then(|e| e.items()).unwrap_or(&[]);
+    let per_frame = set
+        .get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE)
+        .and_then(|e| e.items())
+        .unwrap_or(&[]);
     // For consecutive frames, its sign gives the direction (PS3.3 C.8.4.15).
-    let slice_spacing =
-        [tags::SPACING_BETWEEN_SLICES, tags::SLICE_THICKNESS].into_iter().filter_map(|t| number(set, t)).find(|s| *s != 0.0).unwrap_or(1.0);
+    let slice_spacing = [tags::SPACING_BETWEEN_SLICES, tags::SLICE_THICKNESS]
+        .into_iter()
+        .filter_map(|t| number(set, t))
+        .find(|s| *s != 0.0)
+        .unwrap_or(1.0);
     let detector = item(set, tags::DETECTOR_INFORMATION_SEQUENCE);
     let mut frames = Vec::with_capacity(count.min(4096));
     for n in 0..count {
         let own = per_frame.get(n);
-        let attributes = FrameAttributes { own, shared, detector, object: set };
+        let attributes = FrameAttributes {
+            own,
+            shared,
+            detector,
+            object: set,
+        };
         let orientation = attributes.orientation();
         let [along, down] = orientation.unwrap_or([DVec3::X, DVec3::Y]);
         if along.cross(down).length() < 1e-3 {
-            return Err("has an invalid image orientation (row and column directions); its header is damaged".into());
+            return Err(
+                "has an invalid image orientation (row and column directions); its header is damaged".into(),
+            );
         }
         let mut position = attributes.position();
         let stated = [position.is_some(), orientation.is_some()];
         if count > 1 && own.is_none() {
             // Frames without positions are consecutive.
-            position = Some(position.unwrap_or(DVec3::ZERO) + along.cross(down).normalize_or_zero() * (slice_spacing * n as f64));
+            position = Some(
+                position.unwrap_or(DVec3::ZERO)
+                    + along.cross(down).normalize_or_zero() * (slice_spacing * n as f64),
+            );
         }
         frames.push(Frame {
             object: 0,
@@ -171,7 +212,10 @@ pub fn frames(set: &InMemDicomObject, format: &PixelFormat, segmentation: bool, 
             stated,
             along: [along, down],
             spacing: attributes.spacing(),
-            rescale: attributes.rescale().filter(|_| format.samples == 1 && !segmentation).unwrap_or(Rescale::NONE),
+            rescale: attributes
+                .rescale()
+                .filter(|_| format.samples == 1 && !segmentation)
+                .unwrap_or(Rescale::NONE),
             segment: attributes.segment(),
             order: attributes.order(n),
         });

@@ -37,7 +37,10 @@ pub struct ReopenableFile {
 
 impl Clone for ReopenableFile {
     fn clone(&self) -> Self {
-        Self { path: self.path.clone(), file: None }
+        Self {
+            path: self.path.clone(),
+            file: None,
+        }
     }
 }
 
@@ -47,7 +50,9 @@ impl ReopenableFile {
             let (file, _) = open_file(&self.path).map_err(|e| std::io::Error::other(e.to_string()))?;
             self.file = Some(BufReader::new(file));
         }
-        self.file.as_mut().ok_or_else(|| std::io::ErrorKind::NotFound.into())
+        self.file
+            .as_mut()
+            .ok_or_else(|| std::io::ErrorKind::NotFound.into())
     }
 }
 
@@ -81,8 +86,15 @@ impl ObjectLocation {
     pub fn open(&self, most: u64) -> Result<Bytes> {
         let reader: Box<dyn ReadSeek> = match self {
             Self::File(path) => Box::new(open_file(path)?.0),
-            Self::Member { name, archive, index, .. } => {
-                let damaged = |e: String| Error::file(name, format!("cannot be unpacked ({e}); copy or download the zip again"));
+            Self::Member {
+                name, archive, index, ..
+            } => {
+                let damaged = |e: String| {
+                    Error::file(
+                        name,
+                        format!("cannot be unpacked ({e}); copy or download the zip again"),
+                    )
+                };
                 let mut archive = archive.clone();
                 let member = archive.by_index(*index).map_err(|e| damaged(e.to_string()))?;
                 let unpacked = input::start_of(name, member, most).map_err(|e| match e {
@@ -109,22 +121,33 @@ impl ObjectLocation {
 /// another patient.
 pub fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Vec<String>)> {
     let follow = reference::outside_is_allowed();
-    let root = folder.canonicalize().map_err(|e| Error::io(folder, "reading", e))?;
+    let root = folder
+        .canonicalize()
+        .map_err(|e| Error::io(folder, "reading", e))?;
     let (mut files, mut seen) = (Vec::new(), HashSet::new());
     let (mut left_out, mut too_deep) = (Vec::new(), 0usize);
-    for entry in walkdir::WalkDir::new(folder).follow_links(follow).max_depth(MAX_FOLDER_DEPTH).sort_by_file_name() {
+    for entry in walkdir::WalkDir::new(folder)
+        .follow_links(follow)
+        .max_depth(MAX_FOLDER_DEPTH)
+        .sort_by_file_name()
+    {
         watch.check()?;
         // Link loops and unreadable entries are skipped.
         let Ok(entry) = entry else { continue };
         too_deep += usize::from(entry.depth() == MAX_FOLDER_DEPTH && entry.file_type().is_dir());
         let hidden = entry.depth() > 0 && entry.file_name().to_string_lossy().starts_with('.');
-        if hidden || entry.file_name() == "DICOMDIR" || !(entry.file_type().is_file() || entry.path_is_symlink()) {
+        if hidden
+            || entry.file_name() == "DICOMDIR"
+            || !(entry.file_type().is_file() || entry.path_is_symlink())
+        {
             continue;
         }
         let mut own = entry.path().to_owned();
         if entry.path_is_symlink() {
             // Broken links are skipped as well.
-            let Ok(target) = entry.path().canonicalize() else { continue };
+            let Ok(target) = entry.path().canonicalize() else {
+                continue;
+            };
             if !follow && !target.starts_with(&root) {
                 left_out.push(entry.into_path());
                 continue;
@@ -138,7 +161,10 @@ pub fn files_in(folder: &Path, watch: &Watch) -> Result<(Vec<ObjectLocation>, Ve
             files.push(ObjectLocation::File(entry.into_path()));
         }
         if files.len() > MAX_FILES {
-            return Err(Error::file(folder, format!("holds more than {MAX_FILES} files; name the folder of one study")));
+            return Err(Error::file(
+                folder,
+                format!("holds more than {MAX_FILES} files; name the folder of one study"),
+            ));
         }
     }
     let mut notes: Vec<String> = reference::links_left_out(&left_out).into_iter().collect();
@@ -155,9 +181,19 @@ pub fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<ObjectLocation>>
     if file.read_exact(&mut magic).is_err() || &magic != b"PK\x03\x04" {
         return Ok(None);
     }
-    let damaged = |e: String| Error::file(path, format!("is a zip that cannot be read ({e}); copy or download it again"));
-    let reader = ReopenableFile { path: path.to_owned(), file: None };
-    let mut archive = catch_panic(|| ZipArchive::new(reader)).ok_or_else(|| damaged("it is damaged".into()))?.map_err(|e| damaged(e.to_string()))?;
+    let damaged = |e: String| {
+        Error::file(
+            path,
+            format!("is a zip that cannot be read ({e}); copy or download it again"),
+        )
+    };
+    let reader = ReopenableFile {
+        path: path.to_owned(),
+        file: None,
+    };
+    let mut archive = catch_panic(|| ZipArchive::new(reader))
+        .ok_or_else(|| damaged("it is damaged".into()))?
+        .map_err(|e| damaged(e.to_string()))?;
     let mut members = Vec::new();
     for index in 0..archive.len().min(MAX_FILES) {
         watch.check()?;
@@ -170,7 +206,12 @@ pub fn members(path: &Path, watch: &Watch) -> Result<Option<Vec<ObjectLocation>>
         // Its declared length is limited to what the zip can contain.
         let bytes = member.size().min(length.saturating_mul(DEFLATE_LIMIT));
         drop(member);
-        members.push(ObjectLocation::Member { name: path.join(name), archive: archive.clone(), index, bytes });
+        members.push(ObjectLocation::Member {
+            name: path.join(name),
+            archive: archive.clone(),
+            index,
+            bytes,
+        });
     }
     Ok(Some(members))
 }

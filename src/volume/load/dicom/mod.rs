@@ -64,7 +64,11 @@ pub fn list(path: &Path, patient: bool, watch: &Watch) -> Result<Vec<SeriesInfo>
     if all.is_empty() {
         return Err(nothing(path, found));
     }
-    Ok(all.iter().enumerate().map(|(n, s)| info(n, s, &found.objects, patient)).collect())
+    Ok(all
+        .iter()
+        .enumerate()
+        .map(|(n, s)| info(n, s, &found.objects, patient))
+        .collect())
 }
 
 fn info(n: usize, series: &DicomSeries, objects: &[Object], patient: bool) -> SeriesInfo {
@@ -74,7 +78,11 @@ fn info(n: usize, series: &DicomSeries, objects: &[Object], patient: bool) -> Se
         series_number: object.series_number,
         description: object.description.clone(),
         modality: object.modality.clone(),
-        size: [usize::from(object.format.columns), usize::from(object.format.rows), places(&series.times[0]).len()],
+        size: [
+            usize::from(object.format.columns),
+            usize::from(object.format.rows),
+            places(&series.times[0]).len(),
+        ],
         time_points: series.times.len(),
         uid: object.series.clone(),
         patient: patient.then(|| object.patient.clone()),
@@ -115,7 +123,13 @@ pub fn any(path: &Path, watch: &Watch) -> Result<bool> {
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     // Scanning headers counts as a tenth of the time.
     let scanning = |share: f32| (watch.progress)(0.1 * share);
-    let found = scan(path, &Watch { progress: &scanning, cancel: watch.cancel })?;
+    let found = scan(
+        path,
+        &Watch {
+            progress: &scanning,
+            cancel: watch.cancel,
+        },
+    )?;
     let all = series(&found.objects);
     if all.is_empty() {
         return Err(nothing(path, found));
@@ -135,19 +149,39 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     }
     warnings.extend(found.notes.iter().cloned());
     if found.damaged > 0 {
-        let first = found.complaint.as_ref().map(ToString::to_string).unwrap_or_default();
+        let first = found
+            .complaint
+            .as_ref()
+            .map(ToString::to_string)
+            .unwrap_or_default();
         warnings.push(format!("{} damaged files are left out ({first})", found.damaged));
     }
     if series.duplicates > 0 {
-        warnings.push(format!("{} slices at the same position as another were skipped", series.duplicates));
+        warnings.push(format!(
+            "{} slices at the same position as another were skipped",
+            series.duplicates
+        ));
     }
     let time = choice.time_of(series.times.len())?;
     if series.times.len() > 1 && choice.time.is_none() {
-        warnings.push(format!("holds {} volumes at the same place; the first is used (--time chooses another)", series.times.len()));
+        warnings.push(format!(
+            "holds {} volumes at the same place; the first is used (--time chooses another)",
+            series.times.len()
+        ));
     }
     let reading = |share: f32| (watch.progress)(0.1 + 0.9 * share);
-    let watch = Watch { progress: &reading, cancel: watch.cancel };
-    let mut image = volume(path, &found.objects, &series.times[time], choice, &watch, &mut warnings)?;
+    let watch = Watch {
+        progress: &reading,
+        cancel: watch.cancel,
+    };
+    let mut image = volume(
+        path,
+        &found.objects,
+        &series.times[time],
+        choice,
+        &watch,
+        &mut warnings,
+    )?;
     let object = &found.objects[series.object];
     image.details.extend([
         ("modality", json!(object.modality)),

@@ -35,13 +35,19 @@ impl SliceSpacing {
     /// Spacing of slices at `along`, positions in steps of `mean` from the first slice.
     fn new(along: &[f64], mean: f64) -> Self {
         let gaps = along.windows(2).map(|w| (w[1] - w[0]) * mean).collect();
-        let off = along.iter().enumerate().map(|(k, a)| (a - k as f64).abs() * mean).fold(0.0, f64::max);
+        let off = along
+            .iter()
+            .enumerate()
+            .map(|(k, a)| (a - k as f64).abs() * mean)
+            .fold(0.0, f64::max);
         Self { gaps, mean, off }
     }
 
     /// Whether any gap differs from the mean.
     fn is_uneven(&self) -> bool {
-        self.gaps.iter().any(|g| (g - self.mean).abs() > UNEVEN[0].max(UNEVEN[1] * self.mean))
+        self.gaps
+            .iter()
+            .any(|g| (g - self.mean).abs() > UNEVEN[0].max(UNEVEN[1] * self.mean))
     }
 
     /// The warning about uneven spacing: missing slices if all gaps are integer numbers of steps,
@@ -60,12 +66,20 @@ impl SliceSpacing {
                 "{count} {} missing at {} mm along the normal (spacing {usual:.2} mm){}",
                 if count == 1.0 { "slice is" } else { "slices are" },
                 named_gaps(frames, &missing),
-                if resample { "" } else { "; the slices that are there are spread evenly over the gap" }
+                if resample {
+                    ""
+                } else {
+                    "; the slices that are there are spread evenly over the gap"
+                }
             );
         }
-        let odd: Vec<usize> = (0..gaps.len()).filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual)).collect();
+        let odd: Vec<usize> = (0..gaps.len())
+            .filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual))
+            .collect();
         let (mean, off) = (self.mean, self.off);
-        let instead = format!("; the mean spacing of {mean:.2} mm is used, which misplaces slices by up to {off:.2} mm");
+        let instead = format!(
+            "; the mean spacing of {mean:.2} mm is used, which misplaces slices by up to {off:.2} mm"
+        );
         format!(
             "slice spacing varies from {:.2} to {:.2} mm (it differs from the usual {usual:.2} mm at {} mm along the normal){}",
             by_size[0],
@@ -80,8 +94,20 @@ impl SliceSpacing {
 fn named_gaps(frames: &[&Frame], gaps: &[usize]) -> String {
     let unit = normal(frames[0]);
     let place = |k: usize| format!("{:.2}", frames[k].position.map_or(0.0, |p| p.dot(unit)));
-    let some: Vec<String> = gaps.iter().take(MAX_NAMED_POSITIONS).map(|&k| format!("{} to {}", place(k), place(k + 1))).collect();
-    if gaps.len() > MAX_NAMED_POSITIONS { format!("{} and {} more", some.join(", "), gaps.len() - MAX_NAMED_POSITIONS) } else { some.join(", ") }
+    let some: Vec<String> = gaps
+        .iter()
+        .take(MAX_NAMED_POSITIONS)
+        .map(|&k| format!("{} to {}", place(k), place(k + 1)))
+        .collect();
+    if gaps.len() > MAX_NAMED_POSITIONS {
+        format!(
+            "{} and {} more",
+            some.join(", "),
+            gaps.len() - MAX_NAMED_POSITIONS
+        )
+    } else {
+        some.join(", ")
+    }
 }
 
 /// Warns of geometry that a frame does not state.
@@ -90,7 +116,9 @@ fn warn_of_unstated(frame: &Frame, warnings: &mut Vec<String>) {
         warnings.push("does not state its pixel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
     if !frame.stated[1] && frame.stated[0] {
-        warnings.push("does not state its image orientation; its axes are assumed to be left and posterior".into());
+        warnings.push(
+            "does not state its image orientation; its axes are assumed to be left and posterior".into(),
+        );
     }
     if !frame.stated[0] {
         warnings.push(
@@ -112,7 +140,11 @@ fn slice_step(frames: &[&Frame], object: &Object) -> DVec3 {
     // Writers of segmentations omit empty slices.
     if object.segmentation && n > 1 {
         let start = first.position.unwrap_or(DVec3::ZERO);
-        let at: Vec<f64> = frames.iter().filter_map(|f| f.position).map(|p| (p - start).dot(unit)).collect();
+        let at: Vec<f64> = frames
+            .iter()
+            .filter_map(|f| f.position)
+            .map(|p| (p - start).dot(unit))
+            .collect();
         let least = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
         let count = at.last().map_or(0.0, |last| last / least);
         let whole = |a: &f64| (a / least - (a / least).round()).abs() < 0.05;
@@ -124,7 +156,12 @@ fn slice_step(frames: &[&Frame], object: &Object) -> DVec3 {
 }
 
 /// The placement of sorted slices, one frame each. Adds warnings about what is unstated or uneven.
-pub fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &mut Vec<String>) -> SlicePlacement {
+pub fn placement(
+    frames: &[&Frame],
+    object: &Object,
+    resample: bool,
+    warnings: &mut Vec<String>,
+) -> SlicePlacement {
     let first = frames[0];
     warn_of_unstated(first, warnings);
     let [columns, rows] = first.spacing.map(|s| if s > 0.0 { s } else { 1.0 });
@@ -132,20 +169,45 @@ pub fn placement(frames: &[&Frame], object: &Object, resample: bool, warnings: &
     let unit = normal(first);
     let step = slice_step(frames, object);
     let mm = step.dot(unit);
-    let along: Vec<f64> = frames.iter().enumerate().map(|(k, f)| f.position.map_or(k as f64, |p| (p - start).dot(unit) / mm)).collect();
+    let along: Vec<f64> = frames
+        .iter()
+        .enumerate()
+        .map(|(k, f)| f.position.map_or(k as f64, |p| (p - start).dot(unit) / mm))
+        .collect();
     let spacing = SliceSpacing::new(&along, mm);
     let off_grid = |a: &f64| (a - a.round()).abs() * mm > UNEVEN[0].max(0.05 * mm);
-    let uneven = if object.segmentation { along.iter().any(off_grid) } else { spacing.is_uneven() };
+    let uneven = if object.segmentation {
+        along.iter().any(off_grid)
+    } else {
+        spacing.is_uneven()
+    };
     if uneven {
         warnings.push(spacing.warning(frames, resample));
     }
     // Slices that do not lie on one line.
-    let aside = frames.iter().zip(&along).filter_map(|(f, a)| Some((f.position? - start - step * *a).length())).fold(0.0, f64::max);
+    let aside = frames
+        .iter()
+        .zip(&along)
+        .filter_map(|(f, a)| Some((f.position? - start - step * *a).length()))
+        .fold(0.0, f64::max);
     let is_aside = aside > 0.5 * columns.min(rows);
     if is_aside {
-        warnings.push(format!("its slices are not aligned along one axis; they are offset by up to {aside:.2} mm"));
+        warnings.push(format!(
+            "its slices are not aligned along one axis; they are offset by up to {aside:.2} mm"
+        ));
     }
     let matrix3 = DMat3::from_cols(first.along[0] * columns, first.along[1] * rows, step);
-    let off_mm = [if uneven { spacing.off } else { 0.0 }, if is_aside { aside } else { 0.0 }];
-    SlicePlacement { world_from_voxel: DAffine3 { matrix3, translation: start }, at: along, even: !uneven, off_mm }
+    let off_mm = [
+        if uneven { spacing.off } else { 0.0 },
+        if is_aside { aside } else { 0.0 },
+    ];
+    SlicePlacement {
+        world_from_voxel: DAffine3 {
+            matrix3,
+            translation: start,
+        },
+        at: along,
+        even: !uneven,
+        off_mm,
+    }
 }

@@ -68,7 +68,10 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
     let (sources, notes) = if path.is_dir() {
         files_in(path, watch)?
     } else {
-        (members(path, watch)?.unwrap_or_else(|| vec![ObjectLocation::File(path.to_owned())]), Vec::new())
+        (
+            members(path, watch)?.unwrap_or_else(|| vec![ObjectLocation::File(path.to_owned())]),
+            Vec::new(),
+        )
     };
     let single = !path.is_dir() && sources.len() == 1;
     let meter = ByteProgress::new(watch, sources.len() as u64);
@@ -82,12 +85,20 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
             object(source)
         })
         .collect();
-    let mut found = ScanResult { objects: Vec::new(), others: 0, damaged: 0, complaint: None, notes };
+    let mut found = ScanResult {
+        objects: Vec::new(),
+        others: 0,
+        damaged: 0,
+        complaint: None,
+        notes,
+    };
     let mut seen = HashSet::new();
     for result in read {
         match result {
             // Copies of the same object, under whatever names, count once.
-            Ok(Some(object)) if !object.instance.is_empty() && !seen.insert(object.instance.clone()) => found.others += 1,
+            Ok(Some(object)) if !object.instance.is_empty() && !seen.insert(object.instance.clone()) => {
+                found.others += 1
+            }
             Ok(Some(mut object)) => {
                 let index = found.objects.len();
                 object.frames.iter_mut().for_each(|f| f.object = index);
@@ -106,7 +117,10 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
 
 fn looks_like_dicom(source: &ObjectLocation) -> bool {
     let mut start = Vec::new();
-    source.open(132).is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok()) && is_dicom(&start)
+    source
+        .open(132)
+        .is_ok_and(|reader| reader.take(132).read_to_end(&mut start).is_ok())
+        && is_dicom(&start)
 }
 
 /// An object's header; none if it contains no pixels.
@@ -142,15 +156,32 @@ fn pixel_format(set: &InMemDicomObject) -> Option<PixelFormat> {
 
 /// Rejects sizes and numbers of bits that cannot be read.
 fn check_format(format: &PixelFormat) -> Result<(), String> {
-    let PixelFormat { rows, columns, samples, allocated, stored, high_bit, .. } = *format;
+    let PixelFormat {
+        rows,
+        columns,
+        samples,
+        allocated,
+        stored,
+        high_bit,
+        ..
+    } = *format;
     if rows == 0 || columns == 0 {
-        return Err(format!("declares a picture of {columns} x {rows} pixels; its header is damaged"));
+        return Err(format!(
+            "declares a picture of {columns} x {rows} pixels; its header is damaged"
+        ));
     }
-    if !matches!(samples, 1 | 3 | 4) || !matches!(allocated, 1 | 8 | 16 | 32 | 64) || allocated == 64 && !format.float {
-        return Err(format!("stores {samples} samples of {allocated} bits per pixel, which cannot be read"));
+    if !matches!(samples, 1 | 3 | 4)
+        || !matches!(allocated, 1 | 8 | 16 | 32 | 64)
+        || allocated == 64 && !format.float
+    {
+        return Err(format!(
+            "stores {samples} samples of {allocated} bits per pixel, which cannot be read"
+        ));
     }
     if stored == 0 || stored > allocated || high_bit >= allocated || high_bit + 1 < stored {
-        return Err(format!("has {stored} bits stored of {allocated} allocated with high bit {high_bit}; its header is damaged"));
+        return Err(format!(
+            "has {stored} bits stored of {allocated} allocated with high bit {high_bit}; its header is damaged"
+        ));
     }
     Ok(())
 }
@@ -162,7 +193,12 @@ fn max_frames(source: &ObjectLocation, syntax: &str, format: &PixelFormat) -> u6
         source.bytes().saturating_mul(ratio) / format.frame_bytes() as u64
     } else {
         // A compressed frame has a header of eight bytes; single bits are not padded.
-        source.bytes().saturating_mul(8) / if format.allocated == 1 { format.values() as u64 } else { 64 }
+        source.bytes().saturating_mul(8)
+            / if format.allocated == 1 {
+                format.values() as u64
+            } else {
+                64
+            }
     };
     most.max(1)
 }
@@ -172,7 +208,13 @@ fn padding(set: &InMemDicomObject, format: &PixelFormat) -> Option<[f64; 2]> {
     let value = number(set, tags::PIXEL_PADDING_VALUE)?;
     let limit = number(set, tags::PIXEL_PADDING_RANGE_LIMIT).unwrap_or(value);
     // The value may have been read with the other pixel representation.
-    let signed = |v: f64| if format.signed && v > 32_767.0 && format.allocated == 16 { v - 65_536.0 } else { v };
+    let signed = |v: f64| {
+        if format.signed && v > 32_767.0 && format.allocated == 16 {
+            v - 65_536.0
+        } else {
+            v
+        }
+    };
     let (a, b) = (signed(value), signed(limit));
     Some([a.min(b), a.max(b)])
 }
@@ -180,8 +222,11 @@ fn padding(set: &InMemDicomObject, format: &PixelFormat) -> Option<[f64; 2]> {
 /// Distance between slices, mm, if the object states it.
 fn slice_spacing(set: &InMemDicomObject) -> Option<f64> {
     let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
-    let measures = shared.and_then(|s| item(s, tags::PIXEL_MEASURES_SEQUENCE)).unwrap_or(set);
-    let spacing = number(measures, tags::SPACING_BETWEEN_SLICES).or_else(|| number(measures, tags::SLICE_THICKNESS));
+    let measures = shared
+        .and_then(|s| item(s, tags::PIXEL_MEASURES_SEQUENCE))
+        .unwrap_or(set);
+    let spacing =
+        number(measures, tags::SPACING_BETWEEN_SLICES).or_else(|| number(measures, tags::SLICE_THICKNESS));
     spacing.map(f64::abs).filter(|s| *s > 0.0)
 }
 
@@ -197,7 +242,9 @@ fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
 
 /// The content of a header; none if it describes no pixels.
 fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
-    let Some(format) = pixel_format(set) else { return Ok(None) };
+    let Some(format) = pixel_format(set) else {
+        return Ok(None);
+    };
     let fail = |problem: String| Error::file(source.path(), problem);
     check_format(&format).map_err(fail)?;
     let class = text(set, tags::SOP_CLASS_UID);
@@ -215,7 +262,11 @@ fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> 
         slice_spacing: slice_spacing(set),
         segmentation,
         segments: if segmentation { segments(set) } else { Vec::new() },
-        palette: if format.photometric == "PALETTE COLOR" { palette(set) } else { None },
+        palette: if format.photometric == "PALETTE COLOR" {
+            palette(set)
+        } else {
+            None
+        },
         frames,
         format,
         syntax,
@@ -225,13 +276,20 @@ fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> 
 
 /// Names and colours of segments.
 fn segments(set: &InMemDicomObject) -> Vec<Label> {
-    let items = set.get(tags::SEGMENT_SEQUENCE).and_then(|e| e.items()).unwrap_or(&[]);
+    let items = set
+        .get(tags::SEGMENT_SEQUENCE)
+        .and_then(|e| e.items())
+        .unwrap_or(&[]);
     items
         .iter()
         .filter_map(|segment| {
             let value = number(segment, tags::SEGMENT_NUMBER)? as u32;
             let lab = vector::<3>(segment, tags::RECOMMENDED_DISPLAY_CIE_LAB_VALUE);
-            Some(Label { value, name: text(segment, tags::SEGMENT_LABEL), color: lab.map(rgb_of_lab) })
+            Some(Label {
+                value,
+                name: text(segment, tags::SEGMENT_LABEL),
+                color: lab.map(rgb_of_lab),
+            })
         })
         .collect()
 }
@@ -239,10 +297,24 @@ fn segments(set: &InMemDicomObject) -> Vec<Label> {
 /// sRGB of a colour in DICOM's 16-bit CIELab (white point D50). Source: DICOM PS3.3 C.10.7.1.1,
 /// PS3.15 B.
 fn rgb_of_lab([l, a, b]: [f64; 3]) -> [u8; 3] {
-    let (l, a, b) = (l / 65_535.0 * 100.0, a / 65_535.0 * 255.0 - 128.0, b / 65_535.0 * 255.0 - 128.0);
+    let (l, a, b) = (
+        l / 65_535.0 * 100.0,
+        a / 65_535.0 * 255.0 - 128.0,
+        b / 65_535.0 * 255.0 - 128.0,
+    );
     let fy = (l + 16.0) / 116.0;
-    let inverse = |t: f64| if t > 6.0 / 29.0 { t * t * t } else { 3.0 * (6.0f64 / 29.0).powi(2) * (t - 4.0 / 29.0) };
-    let (x, y, z) = (0.9642 * inverse(fy + a / 500.0), inverse(fy), 0.8249 * inverse(fy - b / 200.0));
+    let inverse = |t: f64| {
+        if t > 6.0 / 29.0 {
+            t * t * t
+        } else {
+            3.0 * (6.0f64 / 29.0).powi(2) * (t - 4.0 / 29.0)
+        }
+    };
+    let (x, y, z) = (
+        0.9642 * inverse(fy + a / 500.0),
+        inverse(fy),
+        0.8249 * inverse(fy - b / 200.0),
+    );
     // D50 to linear sRGB (Bradford).
     let linear = [
         3.133_856 * x - 1.616_867 * y - 0.490_615 * z,
@@ -251,7 +323,11 @@ fn rgb_of_lab([l, a, b]: [f64; 3]) -> [u8; 3] {
     ];
     linear.map(|v| {
         let v = v.clamp(0.0, 1.0);
-        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+        let encoded = if v <= 0.003_130_8 {
+            12.92 * v
+        } else {
+            1.055 * v.powf(1.0 / 2.4) - 0.055
+        };
         (encoded * 255.0 + 0.5) as u8
     })
 }
@@ -260,16 +336,31 @@ fn rgb_of_lab([l, a, b]: [f64; 3]) -> [u8; 3] {
 fn palette(set: &InMemDicomObject) -> Option<[(i64, Vec<u8>); 3]> {
     let channel = |descriptor: Tag, values: Tag| -> Option<(i64, Vec<u8>)> {
         let d = numbers(set, descriptor)?;
-        let [entries, first, bits] = *d.get(..3)? else { return None };
+        let [entries, first, bits] = *d.get(..3)? else {
+            return None;
+        };
         let bytes = set.get(values)?.to_bytes().ok()?;
-        let table: Vec<u8> = if bits > 8.0 { bytes.chunks_exact(2).map(|b| b[1]).collect() } else { bytes.to_vec() };
+        let table: Vec<u8> = if bits > 8.0 {
+            bytes.chunks_exact(2).map(|b| b[1]).collect()
+        } else {
+            bytes.to_vec()
+        };
         let entries = if entries == 0.0 { 65_536 } else { entries as usize };
         (!table.is_empty()).then(|| (first as i64, table.into_iter().take(entries).collect()))
     };
     Some([
-        channel(tags::RED_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR, tags::RED_PALETTE_COLOR_LOOKUP_TABLE_DATA)?,
-        channel(tags::GREEN_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR, tags::GREEN_PALETTE_COLOR_LOOKUP_TABLE_DATA)?,
-        channel(tags::BLUE_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR, tags::BLUE_PALETTE_COLOR_LOOKUP_TABLE_DATA)?,
+        channel(
+            tags::RED_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR,
+            tags::RED_PALETTE_COLOR_LOOKUP_TABLE_DATA,
+        )?,
+        channel(
+            tags::GREEN_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR,
+            tags::GREEN_PALETTE_COLOR_LOOKUP_TABLE_DATA,
+        )?,
+        channel(
+            tags::BLUE_PALETTE_COLOR_LOOKUP_TABLE_DESCRIPTOR,
+            tags::BLUE_PALETTE_COLOR_LOOKUP_TABLE_DATA,
+        )?,
     ])
 }
 
@@ -281,9 +372,18 @@ mod tests {
     fn colours_of_segments() {
         // Grey of half lightness, and the most saturated red of sRGB (L 54.3, a 80.8, b 69.9 for
         // D50).
-        let coded = |l: f64, a: f64, b: f64| [l / 100.0 * 65_535.0, (a + 128.0) / 255.0 * 65_535.0, (b + 128.0) / 255.0 * 65_535.0];
+        let coded = |l: f64, a: f64, b: f64| {
+            [
+                l / 100.0 * 65_535.0,
+                (a + 128.0) / 255.0 * 65_535.0,
+                (b + 128.0) / 255.0 * 65_535.0,
+            ]
+        };
         let [r, g, b] = rgb_of_lab(coded(50.0, 0.0, 0.0));
-        assert!(r.abs_diff(119) <= 1 && g.abs_diff(119) <= 1 && b.abs_diff(119) <= 1, "{r} {g} {b}");
+        assert!(
+            r.abs_diff(119) <= 1 && g.abs_diff(119) <= 1 && b.abs_diff(119) <= 1,
+            "{r} {g} {b}"
+        );
         let [r, g, b] = rgb_of_lab(coded(54.29, 80.81, 69.89));
         assert!(r > 252 && g < 8 && b < 8, "{r} {g} {b}");
     }

@@ -25,26 +25,62 @@ pub struct DicomSeries {
 /// A series for messages: its modality, number, description and number of slices.
 pub fn named(series: &DicomSeries, objects: &[Object]) -> String {
     let object = &objects[series.object];
-    let number = object.series_number.map_or_else(|| "(unnumbered)".to_owned(), |n| n.to_string());
-    let description = if object.description.is_empty() { String::new() } else { format!(" \"{}\"", object.description) };
-    format!("{} series {number}{description}, {} slices", object.modality, places(&series.times[0]).len())
+    let number = object
+        .series_number
+        .map_or_else(|| "(unnumbered)".to_owned(), |n| n.to_string());
+    let description = if object.description.is_empty() {
+        String::new()
+    } else {
+        format!(" \"{}\"", object.description)
+    };
+    format!(
+        "{} series {number}{description}, {} slices",
+        object.modality,
+        places(&series.times[0]).len()
+    )
 }
 
 /// The series with a given number, UID or part of a description.
 pub fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<usize> {
-    let valid_names =
-        || all.iter().enumerate().take(MAX_NAMED_POSITIONS).map(|(n, s)| format!("{}: {}", n + 1, named(s, objects))).collect::<Vec<_>>().join("; ");
+    let valid_names = || {
+        all.iter()
+            .enumerate()
+            .take(MAX_NAMED_POSITIONS)
+            .map(|(n, s)| format!("{}: {}", n + 1, named(s, objects)))
+            .collect::<Vec<_>>()
+            .join("; ")
+    };
     if let Ok(n) = wanted.parse::<usize>() {
         return if (1..=all.len()).contains(&n) {
             Ok(n - 1)
         } else {
-            Err(Error::value("series", format!("{n} is out of range; there are {} series: {}", all.len(), valid_names())))
+            Err(Error::value(
+                "series",
+                format!(
+                    "{n} is out of range; there are {} series: {}",
+                    all.len(),
+                    valid_names()
+                ),
+            ))
         };
     }
-    let fits = |s: &DicomSeries| objects[s.object].series == wanted || objects[s.object].description.to_lowercase().contains(&wanted.to_lowercase());
-    all.iter()
-        .position(fits)
-        .ok_or_else(|| Error::value("series", format!("\"{wanted}\" matches none of the {} series: {}", all.len(), valid_names())))
+    let fits = |s: &DicomSeries| {
+        objects[s.object].series == wanted
+            || objects[s.object]
+                .description
+                .to_lowercase()
+                .contains(&wanted.to_lowercase())
+    };
+    all.iter().position(fits).ok_or_else(|| {
+        Error::value(
+            "series",
+            format!(
+                "\"{wanted}\" matches none of the {} series: {}",
+                all.len(),
+                valid_names()
+            ),
+        )
+    })
 }
 
 /// Unit normal of a frame's plane.
@@ -59,7 +95,15 @@ pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
         let f = &object.format;
         let what = format!(
             "{} {} {} {} {} {} {} {} {}",
-            object.series, object.modality, object.segmentation, f.rows, f.columns, f.samples, f.allocated, f.signed, f.photometric
+            object.series,
+            object.modality,
+            object.segmentation,
+            f.rows,
+            f.columns,
+            f.samples,
+            f.allocated,
+            f.signed,
+            f.photometric
         );
         for frame in &object.frames {
             let rounded = |v: f64| (v * 1e3).round() as i64;
@@ -68,7 +112,10 @@ pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
             groups.entry(key).or_default().push(frame.clone());
         }
     }
-    let mut all: Vec<(String, DicomSeries)> = groups.into_iter().map(|(key, frames)| (key, sorted(frames, objects))).collect();
+    let mut all: Vec<(String, DicomSeries)> = groups
+        .into_iter()
+        .map(|(key, frames)| (key, sorted(frames, objects)))
+        .collect();
     let voxels = |s: &DicomSeries| {
         let f = &objects[s.object].format;
         places(&s.times[0]).len() * usize::from(f.rows) * usize::from(f.columns)
@@ -80,7 +127,10 @@ pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
 
 /// Distinct positions along the normal, sorted.
 pub fn places(frames: &[Frame]) -> Vec<f64> {
-    let mut at: Vec<f64> = frames.iter().map(|f| f.position.map_or(0.0, |p| p.dot(normal(f)))).collect();
+    let mut at: Vec<f64> = frames
+        .iter()
+        .map(|f| f.position.map_or(0.0, |p| p.dot(normal(f))))
+        .collect();
     if frames.iter().any(|f| f.position.is_none()) {
         return (0..frames.len()).map(|n| n as f64).collect();
     }
@@ -94,24 +144,48 @@ pub fn places(frames: &[Frame]) -> Vec<f64> {
 fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let object = frames.first().map_or(0, |f| f.object);
     let by_order = |a: &Frame, b: &Frame| {
-        let order = a.order.iter().zip(&b.order).map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal);
-        order.then_with(|| objects[a.object].source.path().cmp(objects[b.object].source.path())).then_with(|| a.number.cmp(&b.number))
+        let order = a
+            .order
+            .iter()
+            .zip(&b.order)
+            .map(|(a, b)| a.total_cmp(b))
+            .find(|o| o.is_ne())
+            .unwrap_or(std::cmp::Ordering::Equal);
+        order
+            .then_with(|| {
+                objects[a.object]
+                    .source
+                    .path()
+                    .cmp(objects[b.object].source.path())
+            })
+            .then_with(|| a.number.cmp(&b.number))
     };
     let placed = frames.iter().all(|f| f.position.is_some());
     if !placed {
         // By instance number, for want of better information.
         frames.sort_by(|a, b| a.order[4].total_cmp(&b.order[4]).then_with(|| by_order(a, b)));
-        return DicomSeries { object, times: vec![frames], duplicates: 0 };
+        return DicomSeries {
+            object,
+            times: vec![frames],
+            duplicates: 0,
+        };
     }
     let at = |f: &Frame| f.position.map_or(0.0, |p| p.dot(normal(f)));
     frames.sort_by(|a, b| at(a).total_cmp(&at(b)).then_with(|| by_order(a, b)));
     if objects[object].segmentation {
         // Segments share positions.
-        return DicomSeries { object, times: vec![frames], duplicates: 0 };
+        return DicomSeries {
+            object,
+            times: vec![frames],
+            duplicates: 0,
+        };
     }
     let mut stacks: Vec<Vec<Frame>> = Vec::new();
     for frame in frames {
-        match stacks.last_mut().filter(|s| s.first().is_some_and(|f| (at(f) - at(&frame)).abs() < SAME_PLACE)) {
+        match stacks
+            .last_mut()
+            .filter(|s| s.first().is_some_and(|f| (at(f) - at(&frame)).abs() < SAME_PLACE))
+        {
             Some(stack) => stack.push(frame),
             None => stacks.push(vec![frame]),
         }
@@ -121,6 +195,12 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let even = stacks.iter().all(|s| s.len() == often);
     let times = if even { often } else { 1 };
     let duplicates = stacks.iter().map(|s| s.len() - times).sum();
-    let times = (0..times).map(|t| stacks.iter().map(|s| s[t].clone()).collect()).collect();
-    DicomSeries { object, times, duplicates }
+    let times = (0..times)
+        .map(|t| stacks.iter().map(|s| s[t].clone()).collect())
+        .collect();
+    DicomSeries {
+        object,
+        times,
+        duplicates,
+    }
 }

@@ -14,7 +14,12 @@ pub const JPEG: [&str; 6] = [
     "1.2.840.10008.1.2.4.70",
 ];
 /// JPEG 2000, lossless only and general, and the multi-component syntaxes.
-pub const JPEG_2000: [&str; 4] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91", "1.2.840.10008.1.2.4.92", "1.2.840.10008.1.2.4.93"];
+pub const JPEG_2000: [&str; 4] = [
+    "1.2.840.10008.1.2.4.90",
+    "1.2.840.10008.1.2.4.91",
+    "1.2.840.10008.1.2.4.92",
+    "1.2.840.10008.1.2.4.93",
+];
 /// Size of a frame up to which a single-coloured image is accepted at any compression ratio, bytes.
 const SMALL_FRAME: usize = 64 << 20;
 

@@ -11,8 +11,13 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Compressed syntaxes whose decoders return colours as stored: RLE, lossless JPEG, JPEG-LS.
-const AS_STORED: [&str; 5] =
-    ["1.2.840.10008.1.2.5", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70", "1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.81"];
+const AS_STORED: [&str; 5] = [
+    "1.2.840.10008.1.2.5",
+    "1.2.840.10008.1.2.4.57",
+    "1.2.840.10008.1.2.4.70",
+    "1.2.840.10008.1.2.4.80",
+    "1.2.840.10008.1.2.4.81",
+];
 
 /// Frames to decode into one array.
 pub struct DecodeJob<'a> {
@@ -77,14 +82,17 @@ impl DecodeJob<'_> {
         for (frame, out) in self.frames.iter().zip(values.chunks_mut(plane)) {
             jobs.entry(frame.object).or_default().push((frame, out));
         }
-        jobs.into_iter().collect::<Vec<_>>().into_par_iter().try_for_each(|(index, frames)| -> Result<()> {
-            let object = &self.objects[index];
-            let pixels = pixels::read(object)?;
-            frames.into_par_iter().try_for_each(|(frame, out)| {
-                decode(object, &pixels, frame, out, &|v| convert(frame, v))?;
-                meter.add(size_of_val(out) as u64)
-            })
-        })?;
+        jobs.into_iter()
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .try_for_each(|(index, frames)| -> Result<()> {
+                let object = &self.objects[index];
+                let pixels = pixels::read(object)?;
+                frames.into_par_iter().try_for_each(|(frame, out)| {
+                    decode(object, &pixels, frame, out, &|v| convert(frame, v))?;
+                    meter.add(size_of_val(out) as u64)
+                })
+            })?;
         Ok(values)
     }
 
@@ -95,8 +103,14 @@ impl DecodeJob<'_> {
     /// Data values, where frames have different rescales.
     fn scaled(&self) -> Result<StoredValues> {
         let value = |frame: &Frame, v: f32| {
-            let nothing = self.objects[frame.object].padding.is_some_and(|[low, high]| (low..=high).contains(&f64::from(v)));
-            if nothing { f32::NAN } else { (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32 }
+            let nothing = self.objects[frame.object]
+                .padding
+                .is_some_and(|[low, high]| (low..=high).contains(&f64::from(v)));
+            if nothing {
+                f32::NAN
+            } else {
+                (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32
+            }
         };
         Ok(self.run::<f32>(&value)?.into())
     }
@@ -106,24 +120,42 @@ impl DecodeJob<'_> {
         let format = self.format();
         let object = self.object();
         if format.photometric == "PALETTE COLOR" {
-            let tables =
-                object.palette.as_ref().ok_or_else(|| Error::file(self.path, "uses palette colour but contains no palette; export it again"))?;
+            let tables = object.palette.as_ref().ok_or_else(|| {
+                Error::file(
+                    self.path,
+                    "uses palette colour but contains no palette; export it again",
+                )
+            })?;
             let indices = self.run::<u16>(&|_, v| v)?;
             return Ok(indices
                 .into_par_iter()
-                .flat_map_iter(|v| tables.iter().map(move |(first, table)| table[(i64::from(v) - first).clamp(0, table.len() as i64 - 1) as usize]))
+                .flat_map_iter(|v| {
+                    tables.iter().map(move |(first, table)| {
+                        table[(i64::from(v) - first).clamp(0, table.len() as i64 - 1) as usize]
+                    })
+                })
                 .collect());
         }
         if format.samples != 3 || format.allocated != 8 {
             let (samples, bits) = (format.samples, format.allocated);
-            return Err(Error::file(self.path, format!("has {samples} samples of {bits} bits per pixel; only 3 samples of 8 bits are supported")));
+            return Err(Error::file(
+                self.path,
+                format!(
+                    "has {samples} samples of {bits} bits per pixel; only 3 samples of 8 bits are supported"
+                ),
+            ));
         }
         if format.photometric.starts_with("YBR_FULL_422") && self.uncompressed() {
-            return Err(Error::file(self.path, "uses uncompressed chroma-subsampled colour (YBR_FULL_422); convert it to RGB"));
+            return Err(Error::file(
+                self.path,
+                "uses uncompressed chroma-subsampled colour (YBR_FULL_422); convert it to RGB",
+            ));
         }
         let mut values = self.run::<u8>(&|_, v| v)?;
         // Decoders of JPEG and JPEG 2000 return RGB.
-        if format.photometric.starts_with("YBR_FULL") && (self.uncompressed() || AS_STORED.contains(&object.syntax.as_str())) {
+        if format.photometric.starts_with("YBR_FULL")
+            && (self.uncompressed() || AS_STORED.contains(&object.syntax.as_str()))
+        {
             values.par_chunks_exact_mut(3).for_each(|v| {
                 let [y, b, r] = [f32::from(v[0]), f32::from(v[1]) - 128.0, f32::from(v[2]) - 128.0];
                 let rgb = [y + 1.402 * r, y - 0.344_136 * b - 0.714_136 * r, y + 1.772 * b];
@@ -134,7 +166,10 @@ impl DecodeJob<'_> {
     }
 
     fn uncompressed(&self) -> bool {
-        matches!(self.object().syntax.as_str(), "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" | "1.2.840.10008.1.2.1.99")
+        matches!(
+            self.object().syntax.as_str(),
+            "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" | "1.2.840.10008.1.2.1.99"
+        )
     }
 
     /// Segments as labels; where several overlap, the last one wins.
@@ -161,7 +196,9 @@ impl DecodeJob<'_> {
                     // threshold of one half.
                     match object.segments_as {
                         SegmentsAs::Labels => *label = value,
-                        SegmentsAs::Shares(whole) if value > 0 && 2 * u32::from(value) >= u32::from(whole) => {
+                        SegmentsAs::Shares(whole)
+                            if value > 0 && 2 * u32::from(value) >= u32::from(whole) =>
+                        {
                             overlaps += usize::from(*label != 0 && *label != frame.segment);
                             *label = frame.segment;
                         }
@@ -172,8 +209,14 @@ impl DecodeJob<'_> {
             }
         }
         if overlaps > 0 {
-            warnings.push(format!("its segments overlap in {overlaps} voxels; the last segment is used there"));
+            warnings.push(format!(
+                "its segments overlap in {overlaps} voxels; the last segment is used there"
+            ));
         }
-        Ok(if labels.iter().all(|l| *l < 256) { labels.into_iter().map(|l| l as u8).collect::<Vec<u8>>().into() } else { labels.into() })
+        Ok(if labels.iter().all(|l| *l < 256) {
+            labels.into_iter().map(|l| l as u8).collect::<Vec<u8>>().into()
+        } else {
+            labels.into()
+        })
     }
 }

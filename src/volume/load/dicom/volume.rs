@@ -24,7 +24,12 @@ fn slices(frames: &[Frame], segmentation: bool) -> (Vec<&Frame>, Vec<usize>) {
     let mut slices: Vec<&Frame> = Vec::new();
     let mut slot: Vec<usize> = Vec::with_capacity(frames.len());
     for frame in frames {
-        let same = |f: &&&Frame| segmentation && f.position.zip(frame.position).is_some_and(|(a, b)| (a - b).dot(normal(f)).abs() < SAME_PLACE);
+        let same = |f: &&&Frame| {
+            segmentation
+                && f.position
+                    .zip(frame.position)
+                    .is_some_and(|(a, b)| (a - b).dot(normal(f)).abs() < SAME_PLACE)
+        };
         if slices.last().filter(same).is_none() {
             slices.push(frame);
         }
@@ -38,11 +43,21 @@ fn displacement(placement: &SlicePlacement, components: usize, resampled: bool) 
     let [along, aside] = placement.off_mm;
     let along = if resampled { 0.0 } else { along };
     let by_mm = along.max(aside);
-    (by_mm > 0.0).then_some(SliceDisplacement { by_mm, resampling_helps: along > 0.0 && components == 1 })
+    (by_mm > 0.0).then_some(SliceDisplacement {
+        by_mm,
+        resampling_helps: along > 0.0 && components == 1,
+    })
 }
 
 /// The volume of a sorted set of frames.
-pub fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOptions, watch: &Watch, warnings: &mut Vec<String>) -> Result<Image> {
+pub fn volume(
+    path: &Path,
+    objects: &[Object],
+    frames: &[Frame],
+    choice: &ReadOptions,
+    watch: &Watch,
+    warnings: &mut Vec<String>,
+) -> Result<Image> {
     let object = &objects[frames[0].object];
     for o in frames.iter().map(|f| f.object).collect::<BTreeSet<_>>() {
         check_syntax(&objects[o])?;
@@ -52,22 +67,41 @@ pub fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOp
     let format = &object.format;
     let mut depth = slices.len();
     if object.segmentation && placement.even {
-        slot.iter_mut().for_each(|s| *s = placement.at[*s].round() as usize);
+        slot.iter_mut()
+            .for_each(|s| *s = placement.at[*s].round() as usize);
         depth = slot.last().map_or(1, |s| s + 1);
     }
     let size = [usize::from(format.columns), usize::from(format.rows), depth];
     if !usable(&placement.world_from_voxel) {
-        return Err(Error::file(path, "states positions or spacings that cannot be used; its header is damaged"));
+        return Err(Error::file(
+            path,
+            "states positions or spacings that cannot be used; its header is damaged",
+        ));
     }
     let samples = usize::from(format.samples);
-    let total = size.iter().product::<usize>().checked_mul(samples).ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
+    let total = size
+        .iter()
+        .product::<usize>()
+        .checked_mul(samples)
+        .ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
     check_pixels(path, objects, frames)?;
-    let job = DecodeJob { path, objects, frames, slot: &slot, total, watch };
+    let job = DecodeJob {
+        path,
+        objects,
+        frames,
+        slot: &slot,
+        total,
+        watch,
+    };
     let (voxels, components) = job.values(warnings)?;
     let one_rescale = job.one_rescale();
     let mut image = Image::new("DICOM", voxels, size, placement.world_from_voxel);
     image.components = components;
-    image.rescale = if one_rescale && components == 1 { frames[0].rescale } else { Rescale::NONE };
+    image.rescale = if one_rescale && components == 1 {
+        frames[0].rescale
+    } else {
+        Rescale::NONE
+    };
     image.inverted = format.photometric == "MONOCHROME1";
     image.padding = object.padding.filter(|_| components == 1 && one_rescale);
     if object.segmentation {
@@ -87,7 +121,12 @@ pub fn volume(path: &Path, objects: &[Object], frames: &[Frame], choice: &ReadOp
 
 /// Positions of slices along their normal, mm, for `info`.
 fn positions(slices: &[&Frame]) -> Value {
-    json!(slices.iter().map(|f| f.position.map(|p| (p.dot(normal(f)) * 1e4).round() / 1e4)).collect::<Vec<_>>())
+    json!(
+        slices
+            .iter()
+            .map(|f| f.position.map(|p| (p.dot(normal(f)) * 1e4).round() / 1e4))
+            .collect::<Vec<_>>()
+    )
 }
 
 /// Rejects, before anything is allocated, frames that the files cannot contain.
@@ -100,20 +139,35 @@ fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()>
         let object = &objects[object];
         let ratio = max_compression_ratio(&object.syntax, object.format.frame_bytes());
         // Single bits are not padded to bytes between frames.
-        let bytes = if object.format.allocated == 1 { bytes.saturating_sub(frames.len()) } else { bytes };
+        let bytes = if object.format.allocated == 1 {
+            bytes.saturating_sub(frames.len())
+        } else {
+            bytes
+        };
         let most = object.source.bytes().saturating_mul(ratio);
         if bytes as u64 > most {
             let named = if path.is_dir() { object.source.path() } else { path };
-            return Err(Error::file(named, "declares more pixels than it can hold: it is truncated or damaged; copy or export it again"));
+            return Err(Error::file(
+                named,
+                "declares more pixels than it can hold: it is truncated or damaged; copy or export it again",
+            ));
         }
     }
     Ok(())
 }
 
 /// Interpolates unevenly spaced slices onto an even grid of the usual step.
-fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: &mut Vec<String>) -> Result<()> {
+fn evened(
+    path: &Path,
+    image: &mut Image,
+    placement: &SlicePlacement,
+    warnings: &mut Vec<String>,
+) -> Result<()> {
     if image.components > 1 {
-        return Err(Error::file(path, "is a colour image; its slices cannot be resampled"));
+        return Err(Error::file(
+            path,
+            "is a colour image; its slices cannot be resampled",
+        ));
     }
     let at = &placement.at;
     let mut gaps: Vec<f64> = at.windows(2).map(|w| w[1] - w[0]).collect();
@@ -127,15 +181,23 @@ fn evened(path: &Path, image: &mut Image, placement: &SlicePlacement, warnings: 
         .map(|k| {
             let position = k as f64 * step;
             let above = at.partition_point(|a| *a <= position).clamp(1, at.len() - 1);
-            (above - 1, ((position - at[above - 1]) / (at[above] - at[above - 1])).clamp(0.0, 1.0))
+            (
+                above - 1,
+                ((position - at[above - 1]) / (at[above] - at[above - 1])).clamp(0.0, 1.0),
+            )
         })
         .collect();
     let nothing = |v: f64| padding.is_some_and(|[low, high]| (low..=high).contains(&v));
     // Labels are not interpolated, nor are padding and values.
-    let voxels = Voxels::new(image.size, image.voxels.clone()).interpolated_layers(&between, |a, b| labels || nothing(a) || nothing(b));
+    let voxels = Voxels::new(image.size, image.voxels.clone())
+        .interpolated_layers(&between, |a, b| labels || nothing(a) || nothing(b));
     image.voxels = voxels.reshaped(count * image.size[0] * image.size[1]);
     image.size[2] = count;
     image.world_from_voxel.matrix3.z_axis *= step;
-    warnings.push(format!("its {} slices were interpolated to {count}, {:.2} mm apart", at.len(), image.world_from_voxel.matrix3.z_axis.length()));
+    warnings.push(format!(
+        "its {} slices were interpolated to {count}, {:.2} mm apart",
+        at.len(),
+        image.world_from_voxel.matrix3.z_axis.length()
+    ));
     Ok(())
 }

@@ -21,8 +21,14 @@ pub(super) fn geometry(
             (linear, origin)
         }
     };
-    let origin = fields.get("space origin").map_or(Some(origin), |o| vector(o)).ok_or("has a space origin that cannot be read")?;
-    let affine = DAffine3 { matrix3: lps_from_space * linear, translation: lps_from_space * origin };
+    let origin = fields
+        .get("space origin")
+        .map_or(Some(origin), |o| vector(o))
+        .ok_or("has a space origin that cannot be read")?;
+    let affine = DAffine3 {
+        matrix3: lps_from_space * linear,
+        translation: lps_from_space * origin,
+    };
     if !usable(&affine) {
         return Err("has singular space directions; its geometry cannot be used".into());
     }
@@ -34,11 +40,17 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
     let space = fields.get("space").map(|s| s.to_ascii_lowercase());
     let signs = match space.as_deref() {
         Some("left-posterior-superior" | "lps" | "left-posterior-superior-time" | "lpst") => DVec3::ONE,
-        Some("right-anterior-superior" | "ras" | "right-anterior-superior-time" | "rast") => DVec3::new(-1.0, -1.0, 1.0),
-        Some("left-anterior-superior" | "las" | "left-anterior-superior-time" | "last") => DVec3::new(1.0, -1.0, 1.0),
+        Some("right-anterior-superior" | "ras" | "right-anterior-superior-time" | "rast") => {
+            DVec3::new(-1.0, -1.0, 1.0)
+        }
+        Some("left-anterior-superior" | "las" | "left-anterior-superior-time" | "last") => {
+            DVec3::new(1.0, -1.0, 1.0)
+        }
         Some("3d-right-handed" | "scanner-xyz") => DVec3::ONE,
         Some(other) => {
-            warnings.push(format!("its space \"{other}\" is not a patient space; left, posterior, superior axes are assumed"));
+            warnings.push(format!(
+                "its space \"{other}\" is not a patient space; left, posterior, superior axes are assumed"
+            ));
             DVec3::ONE
         }
         None => {
@@ -48,8 +60,17 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
             DVec3::ONE
         }
     };
-    let units = fields.get("space units").map(|u| u.split_whitespace().map(|w| mm_of(w.trim_matches('"'))).collect::<Vec<_>>());
-    let mm = DVec3::from_array(std::array::from_fn(|a| units.as_ref().and_then(|u| u.get(a).copied().flatten()).unwrap_or(1.0)));
+    let units = fields.get("space units").map(|u| {
+        u.split_whitespace()
+            .map(|w| mm_of(w.trim_matches('"')))
+            .collect::<Vec<_>>()
+    });
+    let mm = DVec3::from_array(std::array::from_fn(|a| {
+        units
+            .as_ref()
+            .and_then(|u| u.get(a).copied().flatten())
+            .unwrap_or(1.0)
+    }));
     DMat3::from_diagonal(signs * mm)
 }
 
@@ -58,8 +79,10 @@ fn oriented_axes(directions: &str, spatial: &[usize]) -> Result<DMat3, String> {
     let mut linear = DMat3::IDENTITY;
     let all = words(directions);
     for (n, &axis) in spatial.iter().enumerate() {
-        *linear.col_mut(n) =
-            all.get(axis).and_then(|w| vector(w)).ok_or_else(|| format!("has the space directions \"{directions}\", which cannot be read"))?;
+        *linear.col_mut(n) = all
+            .get(axis)
+            .and_then(|w| vector(w))
+            .ok_or_else(|| format!("has the space directions \"{directions}\", which cannot be read"))?;
     }
     // A plane or line in space: the missing directions are perpendicular to it.
     match spatial.len() {
@@ -77,13 +100,36 @@ fn oriented_axes(directions: &str, spatial: &[usize]) -> Result<DMat3, String> {
 /// the first voxel's position by `axis mins`, mm.
 fn spans_of_axes(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3, DVec3) {
     let (mut linear, mut origin) = (DMat3::IDENTITY, DVec3::ZERO);
-    let numbers = |name: &str| fields.get(name).map(|t| t.split_whitespace().map(|w| w.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>());
+    let numbers = |name: &str| {
+        fields.get(name).map(|t| {
+            t.split_whitespace()
+                .map(|w| w.parse().unwrap_or(f64::NAN))
+                .collect::<Vec<f64>>()
+        })
+    };
     let unit = |axis: usize| unit_mm(fields, axis);
-    let cell = |axis: usize| fields.get("centers").or(fields.get("centerings")).is_some_and(|c| c.split_whitespace().nth(axis) == Some("cell"));
-    let (mins, maxs, sizes) = (numbers("axis mins"), numbers("axis maxs"), numbers("sizes").unwrap_or_default());
+    let cell = |axis: usize| {
+        fields
+            .get("centers")
+            .or(fields.get("centerings"))
+            .is_some_and(|c| c.split_whitespace().nth(axis) == Some("cell"))
+    };
+    let (mins, maxs, sizes) = (
+        numbers("axis mins"),
+        numbers("axis maxs"),
+        numbers("sizes").unwrap_or_default(),
+    );
     for (n, &axis) in spatial.iter().enumerate() {
-        let min = mins.as_ref().and_then(|m| m.get(axis)).copied().filter(|v| v.is_finite());
-        let max = maxs.as_ref().and_then(|m| m.get(axis)).copied().filter(|v| v.is_finite());
+        let min = mins
+            .as_ref()
+            .and_then(|m| m.get(axis))
+            .copied()
+            .filter(|v| v.is_finite());
+        let max = maxs
+            .as_ref()
+            .and_then(|m| m.get(axis))
+            .copied()
+            .filter(|v| v.is_finite());
         if let (Some(min), Some(max), Some(&size)) = (min, max, sizes.get(axis))
             && !fields.contains_key("spacings")
         {
@@ -93,16 +139,29 @@ fn spans_of_axes(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3,
             }
         }
         let shift = if cell(axis) { 0.5 } else { 0.0 };
-        let spacing = numbers("spacings").and_then(|s| s.get(axis).copied()).filter(|s| s.is_finite()).unwrap_or(linear.col(n)[n] / unit(axis));
+        let spacing = numbers("spacings")
+            .and_then(|s| s.get(axis).copied())
+            .filter(|s| s.is_finite())
+            .unwrap_or(linear.col(n)[n] / unit(axis));
         origin[n] = min.map_or(0.0, |m| (m + shift * spacing) * unit(axis));
     }
     (linear, origin)
 }
 
 /// Multiplies the axes by `spacings`, if given, in mm.
-fn scale_by_spacings(linear: &mut DMat3, fields: &HashMap<String, String>, spatial: &[usize], axes: usize) -> Result<(), String> {
-    let Some(spacings) = fields.get("spacings") else { return Ok(()) };
-    let all: Vec<f64> = spacings.split_whitespace().map(|w| w.parse().unwrap_or(f64::NAN)).collect();
+fn scale_by_spacings(
+    linear: &mut DMat3,
+    fields: &HashMap<String, String>,
+    spatial: &[usize],
+    axes: usize,
+) -> Result<(), String> {
+    let Some(spacings) = fields.get("spacings") else {
+        return Ok(());
+    };
+    let all: Vec<f64> = spacings
+        .split_whitespace()
+        .map(|w| w.parse().unwrap_or(f64::NAN))
+        .collect();
     if all.len() != axes {
         return Err(format!("has the spacings \"{spacings}\" for {axes} axes"));
     }
@@ -119,7 +178,11 @@ fn measurement_frame(fields: &HashMap<String, String>) -> Result<DMat3, String> 
     match fields.get("measurement frame") {
         Some(text) => {
             let columns: Vec<DVec3> = words(text).iter().filter_map(|w| vector(w)).collect();
-            let [x, y, z] = columns[..] else { return Err(format!("has the measurement frame \"{text}\", which cannot be read")) };
+            let [x, y, z] = columns[..] else {
+                return Err(format!(
+                    "has the measurement frame \"{text}\", which cannot be read"
+                ));
+            };
             Ok(DMat3::from_cols(x, y, z))
         }
         None => Ok(DMat3::IDENTITY),
@@ -128,7 +191,10 @@ fn measurement_frame(fields: &HashMap<String, String>) -> Result<DMat3, String> 
 
 /// Millimetres per unit along an axis, by `units`; 1 if it is not a unit of length.
 fn unit_mm(fields: &HashMap<String, String>, axis: usize) -> f64 {
-    fields.get("units").and_then(|u| mm_of(words(u).get(axis)?.trim_matches('"'))).unwrap_or(1.0)
+    fields
+        .get("units")
+        .and_then(|u| mm_of(words(u).get(axis)?.trim_matches('"')))
+        .unwrap_or(1.0)
 }
 
 /// Millimetres per unit of length; none if it is not a unit of length.

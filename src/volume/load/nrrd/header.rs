@@ -21,19 +21,27 @@ pub(super) fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<S
     let (mut first, mut list) = (true, false);
     loop {
         line.clear();
-        let read = reader.read_until(b'\n', &mut line).map_err(|e| read_error(path, e))?;
+        let read = reader
+            .read_until(b'\n', &mut line)
+            .map_err(|e| read_error(path, e))?;
         let text = String::from_utf8_lossy(&line);
         let text = text.trim_end_matches(['\n', '\r']);
         if first {
             if !text.starts_with("NRRD000") {
-                return Err(Error::file(path, "is not an NRRD file (it does not start with NRRD000)"));
+                return Err(Error::file(
+                    path,
+                    "is not an NRRD file (it does not start with NRRD000)",
+                ));
             }
             first = false;
             continue;
         }
         if text.is_empty() {
             if read == 0 && !fields.contains_key("data file") && !fields.contains_key("datafile") {
-                return Err(Error::file(path, "ends within its header: the file is truncated; copy or download it again"));
+                return Err(Error::file(
+                    path,
+                    "ends within its header: the file is truncated; copy or download it again",
+                ));
             }
             return Ok(fields);
         }
@@ -57,7 +65,12 @@ pub(super) fn header(path: &Path, reader: &mut impl BufRead) -> Result<HashMap<S
 
 /// A field's value; an error if it is missing.
 pub(super) fn required<'a>(path: &Path, fields: &'a HashMap<String, String>, name: &str) -> Result<&'a str> {
-    let missing = || Error::file(path, format!("has no field \"{name}\" in its header; it is damaged"));
+    let missing = || {
+        Error::file(
+            path,
+            format!("has no field \"{name}\" in its header; it is damaged"),
+        )
+    };
     fields.get(name).map(String::as_str).ok_or_else(missing)
 }
 
@@ -77,8 +90,11 @@ pub(super) fn words(text: &str) -> Vec<String> {
     let mut out = Vec::new();
     let mut rest = text.trim();
     while !rest.is_empty() {
-        let end =
-            if rest.starts_with('(') { rest.find(')').map_or(rest.len(), |e| e + 1) } else { rest.find(char::is_whitespace).unwrap_or(rest.len()) };
+        let end = if rest.starts_with('(') {
+            rest.find(')').map_or(rest.len(), |e| e + 1)
+        } else {
+            rest.find(char::is_whitespace).unwrap_or(rest.len())
+        };
         out.push(rest[..end].to_owned());
         rest = rest[end..].trim_start();
     }

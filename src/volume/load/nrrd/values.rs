@@ -3,7 +3,8 @@
 use super::super::super::StoredValues;
 use super::super::ScalarType;
 use super::super::source::{
-    BZIP2_LIMIT, ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_end, check_held, open_file, read_error, skip,
+    BZIP2_LIMIT, ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_end, check_held,
+    open_file, read_error, skip,
 };
 use super::super::text;
 use super::header::required;
@@ -40,38 +41,78 @@ pub(super) struct Data<'a> {
 
 impl<'a> Data<'a> {
     /// The storage of `whole` values, from the header.
-    pub fn new(path: &'a Path, fields: &HashMap<String, String>, scalar: ScalarType, whole: usize, watch: &'a Watch<'a>) -> Result<Self> {
+    pub fn new(
+        path: &'a Path,
+        fields: &HashMap<String, String>,
+        scalar: ScalarType,
+        whole: usize,
+        watch: &'a Watch<'a>,
+    ) -> Result<Self> {
         let fail = |problem: String| Error::file(path, problem);
         let get = |name: &str| fields.get(name).map(String::as_str);
-        let encoding = match required(path, fields, "encoding")?.trim().to_ascii_lowercase().as_str() {
+        let encoding = match required(path, fields, "encoding")?
+            .trim()
+            .to_ascii_lowercase()
+            .as_str()
+        {
             "raw" => Encoding::Raw,
             "gzip" | "gz" => Encoding::Gzip,
             "bzip2" | "bz2" => Encoding::Bzip2,
             "ascii" | "text" | "txt" => Encoding::Text,
             "hex" => Encoding::Hex,
-            other => return Err(fail(format!("is encoded as \"{other}\", which cannot be read; save it as raw or gzip"))),
+            other => {
+                return Err(fail(format!(
+                    "is encoded as \"{other}\", which cannot be read; save it as raw or gzip"
+                )));
+            }
         };
         let swap = scalar.bytes() > 1
             && match required(path, fields, "endian").map(str::trim) {
                 Ok("little") => cfg!(target_endian = "big"),
                 Ok("big") => cfg!(target_endian = "little"),
-                Ok(other) => return Err(fail(format!("has the byte order \"{other}\"; it must be little or big"))),
+                Ok(other) => {
+                    return Err(fail(format!(
+                        "has the byte order \"{other}\"; it must be little or big"
+                    )));
+                }
                 Err(e) if encoding != Encoding::Text => return Err(e),
                 Err(_) => false,
             };
         let number = |names: [&str; 2]| {
             let text = get(names[0]).or(get(names[1]));
-            text.map_or(Ok(0i64), |t| t.trim().parse()).map_err(|_| fail(format!("has a {} that is not a number", names[0])))
+            text.map_or(Ok(0i64), |t| t.trim().parse())
+                .map_err(|_| fail(format!("has a {} that is not a number", names[0])))
         };
-        let (line_skip, byte_skip) = (number(["line skip", "lineskip"])?, number(["byte skip", "byteskip"])?);
+        let (line_skip, byte_skip) = (
+            number(["line skip", "lineskip"])?,
+            number(["byte skip", "byteskip"])?,
+        );
         if line_skip < 0 || byte_skip < -1 {
-            return Err(fail("skips a negative number of lines or bytes; its header is damaged".into()));
+            return Err(fail(
+                "skips a negative number of lines or bytes; its header is damaged".into(),
+            ));
         }
-        Ok(Self { path, scalar, swap, encoding, line_skip: line_skip as u64, byte_skip, whole, watch })
+        Ok(Self {
+            path,
+            scalar,
+            swap,
+            encoding,
+            line_skip: line_skip as u64,
+            byte_skip,
+            whole,
+            watch,
+        })
     }
 
     /// Reads `[ahead, count]`: skips values and reads values, from the reader's position.
-    pub fn read(&self, path: &Path, mut reader: BufReader<File>, file_bytes: u64, [ahead, count]: [usize; 2], more: bool) -> Result<StoredValues> {
+    pub fn read(
+        &self,
+        path: &Path,
+        mut reader: BufReader<File>,
+        file_bytes: u64,
+        [ahead, count]: [usize; 2],
+        more: bool,
+    ) -> Result<StoredValues> {
         let size = self.scalar.bytes() as u64;
         let (before, bytes) = (ahead as u64 * size, count as u64 * size);
         skip_lines(path, &mut reader, self.line_skip)?;
@@ -83,16 +124,29 @@ impl<'a> Data<'a> {
                     // Located at the file's end.
                     let all = self.whole as u64 * size;
                     check_held(path, all, file_bytes)?;
-                    reader.seek(SeekFrom::End(-(all as i64))).map_err(|e| read_error(path, e))?;
+                    reader
+                        .seek(SeekFrom::End(-(all as i64)))
+                        .map_err(|e| read_error(path, e))?;
                 }
                 skip(path, &mut reader, byte_skip.saturating_add(before))?;
                 self.source(path, reader, count).read_as(self.scalar)
             }
             Encoding::Gzip | Encoding::Bzip2 => {
-                let limit = if self.encoding == Encoding::Gzip { DEFLATE_LIMIT } else { BZIP2_LIMIT };
-                check_held(path, before.saturating_add(bytes), file_bytes.saturating_mul(limit))?;
-                let mut decoder: Box<dyn Read + Send> =
-                    if self.encoding == Encoding::Gzip { Box::new(MultiGzDecoder::new(reader)) } else { Box::new(MultiBzDecoder::new(reader)) };
+                let limit = if self.encoding == Encoding::Gzip {
+                    DEFLATE_LIMIT
+                } else {
+                    BZIP2_LIMIT
+                };
+                check_held(
+                    path,
+                    before.saturating_add(bytes),
+                    file_bytes.saturating_mul(limit),
+                )?;
+                let mut decoder: Box<dyn Read + Send> = if self.encoding == Encoding::Gzip {
+                    Box::new(MultiGzDecoder::new(reader))
+                } else {
+                    Box::new(MultiBzDecoder::new(reader))
+                };
                 skip(path, &mut decoder, byte_skip.saturating_add(before))?;
                 let mut source = self.source(path, decoder, count);
                 let voxels = source.read_as(self.scalar)?;
@@ -104,7 +158,11 @@ impl<'a> Data<'a> {
             Encoding::Text => {
                 skip(path, &mut reader, byte_skip)?;
                 // A value and its separator take at least two bytes.
-                check_held(path, (ahead as u64 + count as u64).saturating_mul(2).saturating_sub(1), file_bytes)?;
+                check_held(
+                    path,
+                    (ahead as u64 + count as u64).saturating_mul(2).saturating_sub(1),
+                    file_bytes,
+                )?;
                 text::values(path, reader, [ahead, count], self.scalar, self.watch)
             }
             Encoding::Hex => {
@@ -118,12 +176,21 @@ impl<'a> Data<'a> {
     }
 
     /// Reads values divided evenly among many files.
-    pub fn read_pieces(&self, files: Vec<PathBuf>, total: usize, [ahead, count]: [usize; 2]) -> Result<StoredValues> {
+    pub fn read_pieces(
+        &self,
+        files: Vec<PathBuf>,
+        total: usize,
+        [ahead, count]: [usize; 2],
+    ) -> Result<StoredValues> {
         let fail = |problem: String| Error::file(self.path, problem);
         if !total.is_multiple_of(files.len()) {
-            return Err(fail(format!("names {} data files, which cannot hold equal parts of its {total} values", files.len())));
+            return Err(fail(format!(
+                "names {} data files, which cannot hold equal parts of its {total} values",
+                files.len()
+            )));
         }
-        if self.line_skip > 0 || self.byte_skip > 0 || matches!(self.encoding, Encoding::Text | Encoding::Hex) {
+        if self.line_skip > 0 || self.byte_skip > 0 || matches!(self.encoding, Encoding::Text | Encoding::Hex)
+        {
             return Err(fail("has several data files that are not raw, gzip or bzip2 from their first byte on; join them into one".into()));
         }
         let size = self.scalar.bytes() as u64;
@@ -133,8 +200,14 @@ impl<'a> Data<'a> {
             most = most.saturating_add(open_file(file)?.1);
         }
         let (open, limit): (OpenPiece, u64) = match (self.encoding, self.byte_skip) {
-            (Encoding::Gzip, _) => (|p, _| Ok(Box::new(MultiGzDecoder::new(buffered(p)?.0))), DEFLATE_LIMIT),
-            (Encoding::Bzip2, _) => (|p, _| Ok(Box::new(MultiBzDecoder::new(buffered(p)?.0))), BZIP2_LIMIT),
+            (Encoding::Gzip, _) => (
+                |p, _| Ok(Box::new(MultiGzDecoder::new(buffered(p)?.0))),
+                DEFLATE_LIMIT,
+            ),
+            (Encoding::Bzip2, _) => (
+                |p, _| Ok(Box::new(MultiBzDecoder::new(buffered(p)?.0))),
+                BZIP2_LIMIT,
+            ),
             (_, -1) => (last_bytes, 1),
             _ => (|p, _| Ok(Box::new(buffered(p)?.0)), 1),
         };
@@ -145,7 +218,13 @@ impl<'a> Data<'a> {
     }
 
     fn source<'b, R: Read>(&'b self, path: &'b Path, reader: R, count: usize) -> ValueReader<'b, R> {
-        ValueReader { path, reader, swap: self.swap, count, watch: self.watch }
+        ValueReader {
+            path,
+            reader,
+            swap: self.swap,
+            count,
+            watch: self.watch,
+        }
     }
 }
 
@@ -153,7 +232,9 @@ impl<'a> Data<'a> {
 pub(in crate::volume::load) fn last_bytes(path: &Path, bytes: u64) -> Result<Box<dyn Read + Send>> {
     let (mut reader, length) = buffered(path)?;
     check_held(path, bytes, length)?;
-    reader.seek(SeekFrom::Start(length - bytes)).map_err(|e| read_error(path, e))?;
+    reader
+        .seek(SeekFrom::Start(length - bytes))
+        .map_err(|e| read_error(path, e))?;
     Ok(Box::new(reader))
 }
 
@@ -176,10 +257,14 @@ impl<R: Read> Read for Hex<R> {
     fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
         let mut digit = || -> std::io::Result<Option<u8>> {
             loop {
-                let Some(&byte) = self.reader.fill_buf()?.first() else { return Ok(None) };
+                let Some(&byte) = self.reader.fill_buf()?.first() else {
+                    return Ok(None);
+                };
                 self.reader.consume(1);
                 if !byte.is_ascii_whitespace() {
-                    let digit = char::from(byte).to_digit(16).ok_or_else(|| std::io::Error::new(std::io::ErrorKind::InvalidData, "no hex digit"))?;
+                    let digit = char::from(byte).to_digit(16).ok_or_else(|| {
+                        std::io::Error::new(std::io::ErrorKind::InvalidData, "no hex digit")
+                    })?;
                     return Ok(Some(digit as u8));
                 }
             }

@@ -33,7 +33,14 @@ pub(super) struct Blocks<R> {
 impl<R: Read> Blocks<R> {
     /// Blocks of `size` unpacked bytes; `packed` holds the length of each in the reader, bytes.
     pub fn new(reader: R, packed: Vec<u64>, size: usize, packing: Compression) -> Self {
-        Self { reader, packed: packed.into_iter(), size, packing, ready: Vec::new(), at: [0, 0] }
+        Self {
+            reader,
+            packed: packed.into_iter(),
+            size,
+            packing,
+            ready: Vec::new(),
+            at: [0, 0],
+        }
     }
 }
 
@@ -57,7 +64,10 @@ impl<R: Read> Read for Blocks<R> {
                 return Ok(0);
             }
             let (size, packing) = (self.size, self.packing);
-            self.ready = packed.into_par_iter().map(|block| unpack(&block, size, packing)).collect::<std::io::Result<_>>()?;
+            self.ready = packed
+                .into_par_iter()
+                .map(|block| unpack(&block, size, packing))
+                .collect::<std::io::Result<_>>()?;
             self.at = [0, 0];
         }
         let block = &self.ready[self.at[0]][self.at[1]..];
@@ -78,12 +88,14 @@ fn unpack(block: &[u8], size: usize, packing: Compression) -> std::io::Result<Ve
         Compression::Lz4 => {
             // LZ4's compression ratio is at most 255.
             out.resize(size.min(block.len().saturating_mul(255)), 0);
-            let n =
-                lz4_flex::block::decompress_into(block, &mut out).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
+            let n = lz4_flex::block::decompress_into(block, &mut out)
+                .map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
             out.truncate(n);
         }
         Compression::Lzma => {
-            lzma_rust2::XzReader::new(block, false).take(size as u64).read_to_end(&mut out)?;
+            lzma_rust2::XzReader::new(block, false)
+                .take(size as u64)
+                .read_to_end(&mut out)?;
         }
     }
     Ok(out)
@@ -99,7 +111,11 @@ pub(super) struct Base64 {
 
 impl Base64 {
     pub fn new(reader: BufReader<File>) -> Self {
-        Self { reader, ready: Vec::new(), at: 0 }
+        Self {
+            reader,
+            ready: Vec::new(),
+            at: 0,
+        }
     }
 
     fn more(&mut self) -> std::io::Result<()> {
@@ -135,7 +151,9 @@ impl Base64 {
             }
         }
         text.truncate(text.len() / 4 * 4);
-        self.ready = STANDARD.decode(&text).map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
+        self.ready = STANDARD
+            .decode(&text)
+            .map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
         self.at = 0;
         Ok(())
     }

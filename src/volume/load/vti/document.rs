@@ -79,7 +79,10 @@ impl Read for Counting {
 impl BufRead for Counting {
     fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
         if self.of_event > MAX_TAG_BYTES {
-            return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, "a tag or text longer than 1 MiB"));
+            return Err(std::io::Error::new(
+                std::io::ErrorKind::InvalidData,
+                "a tag or text longer than 1 MiB",
+            ));
         }
         self.inner.fill_buf()
     }
@@ -110,7 +113,11 @@ impl Counting {
 }
 
 fn attributes(tag: &BytesStart) -> HashMap<String, String> {
-    tag.attributes().with_checks(false).flatten().map(|a| (a.key.as_ref().to_owned(), a.value.into_owned())).collect()
+    tag.attributes()
+        .with_checks(false)
+        .flatten()
+        .map(|a| (a.key.as_ref().to_owned(), a.value.into_owned()))
+        .collect()
 }
 
 fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Option<[T; N]> {
@@ -121,14 +128,20 @@ fn numbers<T: std::str::FromStr, const N: usize>(text: Option<&String>) -> Optio
 /// The content of a file's tags, up to the appended data.
 pub(super) fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocument> {
     let fail = |problem: String| Error::file(path, problem);
-    let mut xml = quick_xml::Reader::from_reader(Counting { inner: reader, at: 0, of_event: 0 });
+    let mut xml = quick_xml::Reader::from_reader(Counting {
+        inner: reader,
+        at: 0,
+        of_event: 0,
+    });
     xml.config_mut().check_end_names = false;
     let mut parser = DocumentParser::new(path);
     let mut buffer = Vec::new();
     loop {
         buffer.clear();
         xml.get_mut().of_event = 0;
-        let event = xml.read_event_into(&mut buffer).map_err(|e| fail(format!("is not readable XML ({e}); it is truncated or damaged")))?;
+        let event = xml
+            .read_event_into(&mut buffer)
+            .map_err(|e| fail(format!("is not readable XML ({e}); it is truncated or damaged")))?;
         let (tag, empty) = match &event {
             Event::Start(tag) => (tag, false),
             Event::Empty(tag) => (tag, true),
@@ -149,7 +162,9 @@ pub(super) fn document(path: &Path, reader: BufReader<File>) -> Result<VtiDocume
             "VTKFile" => parser.vtk_file(&given)?,
             "ImageData" if parser.is_image => parser.image_data(&given)?,
             "Piece" if parser.is_image => parser.piece(&given),
-            name @ ("PointData" | "CellData") => parser.enter_section((!empty).then_some(usize::from(name == "CellData")), &given),
+            name @ ("PointData" | "CellData") => {
+                parser.enter_section((!empty).then_some(usize::from(name == "CellData")), &given)
+            }
             "DataArray" | "Array" => {
                 // Values are skipped.
                 parser.data_array(&given, xml.get_ref().at)?;
@@ -197,7 +212,12 @@ impl<'a> DocumentParser<'a> {
             pieces: Vec::new(),
             appended: None,
         };
-        Self { path, document, section: None, is_image: false }
+        Self {
+            path,
+            document,
+            section: None,
+            is_image: false,
+        }
     }
 
     /// An error about the file.
@@ -209,7 +229,9 @@ impl<'a> DocumentParser<'a> {
     fn vtk_file(&mut self, given: &HashMap<String, String>) -> Result<()> {
         let kind = given.get("type").map_or("", String::as_str);
         if kind != "ImageData" {
-            return Err(self.fail(format!("is a VTK file of type \"{kind}\"; image data (.vti) can be read as a volume")));
+            return Err(self.fail(format!(
+                "is a VTK file of type \"{kind}\"; image data (.vti) can be read as a volume"
+            )));
         }
         self.is_image = true;
         self.document.big_endian = given.get("byte_order").is_some_and(|b| b == "BigEndian");
@@ -219,22 +241,30 @@ impl<'a> DocumentParser<'a> {
             "vtkZLibDataCompressor" => Compression::Zlib,
             "vtkLZ4DataCompressor" => Compression::Lz4,
             "vtkLZMADataCompressor" => Compression::Lzma,
-            other => return Err(self.fail(format!("is compressed by {other}, which cannot be read; save it with zlib"))),
+            other => {
+                return Err(self.fail(format!(
+                    "is compressed by {other}, which cannot be read; save it with zlib"
+                )));
+            }
         };
         Ok(())
     }
 
     /// `ImageData`: extent and geometry of the whole image.
     fn image_data(&mut self, given: &HashMap<String, String>) -> Result<()> {
-        self.document.whole = numbers(given.get("WholeExtent")).ok_or_else(|| self.fail("has no readable WholeExtent".into()))?;
+        self.document.whole = numbers(given.get("WholeExtent"))
+            .ok_or_else(|| self.fail("has no readable WholeExtent".into()))?;
         let vector = |name: &str, otherwise: DVec3| match given.get(name) {
             None => Ok(otherwise),
-            some => numbers::<f64, 3>(some).map(DVec3::from_array).ok_or_else(|| self.fail(format!("has a {name} that is not three numbers"))),
+            some => numbers::<f64, 3>(some)
+                .map(DVec3::from_array)
+                .ok_or_else(|| self.fail(format!("has a {name} that is not three numbers"))),
         };
         let (origin, spacing) = (vector("Origin", DVec3::ZERO)?, vector("Spacing", DVec3::ONE)?);
         (self.document.origin, self.document.spacing) = (origin, spacing);
         if given.contains_key("Direction") {
-            let rows: [f64; 9] = numbers(given.get("Direction")).ok_or_else(|| self.fail("has a Direction that is not nine numbers".into()))?;
+            let rows: [f64; 9] = numbers(given.get("Direction"))
+                .ok_or_else(|| self.fail("has a Direction that is not nine numbers".into()))?;
             self.document.direction = DMat3::from_cols_array(&rows).transpose();
             self.document.directed = true;
         }
@@ -244,7 +274,10 @@ impl<'a> DocumentParser<'a> {
     /// `Piece`: its extent; by default that of the whole.
     fn piece(&mut self, given: &HashMap<String, String>) {
         let extent = numbers(given.get("Extent")).unwrap_or(self.document.whole);
-        self.document.pieces.push(VtiPiece { extent, ..VtiPiece::default() });
+        self.document.pieces.push(VtiPiece {
+            extent,
+            ..VtiPiece::default()
+        });
     }
 
     /// `PointData` or `CellData`: the section of the following arrays, and which of them are
@@ -261,24 +294,41 @@ impl<'a> DocumentParser<'a> {
     /// `DataArray`, with its text at a byte of the file; arrays of neither points nor cells are
     /// ignored.
     fn data_array(&mut self, given: &HashMap<String, String>, at: u64) -> Result<()> {
-        let Some(section) = self.section else { return Ok(()) };
+        let Some(section) = self.section else {
+            return Ok(());
+        };
         let place = match given.get("format").map_or("ascii", String::as_str) {
             "ascii" => ArrayLocation::Text(at),
             "binary" => ArrayLocation::Base64(at),
-            "appended" => ArrayLocation::Appended(given.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0)),
-            other => return Err(self.fail(format!("has an array in the format \"{other}\", which cannot be read"))),
+            "appended" => {
+                ArrayLocation::Appended(given.get("offset").and_then(|o| o.parse().ok()).unwrap_or(0))
+            }
+            other => {
+                return Err(self.fail(format!(
+                    "has an array in the format \"{other}\", which cannot be read"
+                )));
+            }
         };
         let type_name = given.get("type").cloned().unwrap_or_default();
-        let components = given.get("NumberOfComponents").map_or(Some(1), |n| n.parse().ok()).filter(|n| (1..=1024).contains(n));
+        let components = given
+            .get("NumberOfComponents")
+            .map_or(Some(1), |n| n.parse().ok())
+            .filter(|n| (1..=1024).contains(n));
         let array = VtiArray {
             name: given.get("Name").cloned().unwrap_or_default(),
             scalar: ScalarType::named(&type_name),
             type_name,
-            components: components.ok_or_else(|| self.fail("has an array with an impossible number of components".into()))?,
+            components: components
+                .ok_or_else(|| self.fail("has an array with an impossible number of components".into()))?,
             place,
         };
         if let Some(piece) = self.document.pieces.last_mut() {
-            if section == 0 { &mut piece.points } else { &mut piece.cells }.push(array);
+            if section == 0 {
+                &mut piece.points
+            } else {
+                &mut piece.cells
+            }
+            .push(array);
         }
         Ok(())
     }
