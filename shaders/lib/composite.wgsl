@@ -66,13 +66,17 @@ fn is_to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -
     return depth > 0.0 || is_near_mask_edge(at);
 }
 
+// Whether visible samples are shaded by a gradient.
+fn shades_by_gradient() -> bool {
+    return BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && (is_lit() || uses_gradient_opacity());
+}
+
 // Composites samples first .. end of a ray, at (i + 1/2) step.
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySegment {
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
     let half = half_vector(ray.direction);
-    let needs_gradients = BLEND == BLEND_COMPOSITE && ISO == ISO_NONE
-        && (is_lit() || uses_gradient_opacity());
+    let needs_gradients = shades_by_gradient();
     var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
@@ -120,7 +124,8 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             // Visible samples come in runs: the next one is likely to be shaded too.
             at = sample_scene_and_gradient(sampled, needs_gradients && i - 1 == last_at && last_depth > 0.0);
             // The same point, bit for bit, whether or not it was sampled.
-            front = PreviousSample(sampled - ray.direction * step, NOT_SAMPLED);
+            let previous = sampled - ray.direction * step;
+            front = PreviousSample(previous, NOT_SAMPLED);
             if share == 1.0 {
                 front.point = ray.origin + ray.direction * ((f32(i) - 1.5) * step);
                 front.depth = select(NOT_SAMPLED, last_depth, last_at == i - 1);
@@ -139,9 +144,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                     last_at = i;
                 }
             } else {
-                let front = front_value(
-                    at, sampled - ray.direction * step, before, CUTS == 0u && before_at == i - 2
-                );
+                let front = front_value(at, previous, before, CUTS == 0u && before_at == i - 2);
                 if at.present {
                     before = at.value;
                     before_at = i - 1;
@@ -154,16 +157,13 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
             let face = opaque_face(at, found.deformed, ray.direction, step);
             if face.a > 0.0 {
                 color += face * (1.0 - color.a);
-                counted.z += u32(max(end - i, 0));
-                break;
+            } else if ISO == ISO_NONE {
+                color += shaded_sample(
+                    at, found, front, cut_free, ray.direction, half, step, length * share
+                ) * (1.0 - color.a);
             }
-            if ISO != ISO_NONE {
-                continue;
-            }
-            color += shaded_sample(
-                at, found, front, cut_free, ray.direction, half, step, length * share
-            ) * (1.0 - color.a);
-            if 1.0 - color.a < MIN_TRANSMITTANCE && frame.early_termination != 0u {
+            let is_opaque = 1.0 - color.a < MIN_TRANSMITTANCE && frame.early_termination != 0u;
+            if face.a > 0.0 || is_opaque {
                 counted.z += u32(max(end - i, 0));
                 break;
             }
