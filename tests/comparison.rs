@@ -534,7 +534,7 @@ pub fn a_missing_gpu_is_told() {
 #[cfg(feature = "gpu")]
 pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
     let missing = incise::gpu::Device::open(incise::gpu::AdapterPreference::Any).is_err();
-    let test = libtest_mimic::Trial::test("comparison::a_gpu_is_compared_with_the_cpu", || {
+    let test = crate::trial("comparison::a_gpu_is_compared_with_the_cpu", || {
         a_gpu_is_compared_with_the_cpu();
         Ok(())
     });

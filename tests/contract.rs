@@ -31,7 +31,7 @@ pub fn trials() -> Vec<Trial> {
     kinds::list()
         .flat_map(|kind| {
             checks.into_iter().map(move |(name, check)| {
-                Trial::test(format!("contract::{}::{name}", kind.name), move || {
+                crate::trial(format!("contract::{}::{name}", kind.name), move || {
                     check(kind);
                     Ok(())
                 })

@@ -33,7 +33,8 @@ mod trust;
 #[cfg(feature = "gui")]
 mod workstation;
 
-use libtest_mimic::{Arguments, Trial};
+use libtest_mimic::{Arguments, Failed, Trial};
+use std::time::{Duration, Instant};
 
 /// Tests that measure the time and memory of their process run in a process of their own: otherwise
 /// they wait for other tests' threads and count other tests' memory. Each is listed under the name
@@ -55,7 +56,7 @@ const ALONE_VARIABLE: &str = "INCISE_TEST_ALONE";
 
 fn alone() -> impl Iterator<Item = Trial> {
     ALONE.iter().map(|&(name, _)| {
-        Trial::test(name, move || {
+        trial(name, move || {
             let program = std::env::current_exe()?;
             let status = std::process::Command::new(program)
                 .env(ALONE_VARIABLE, name)
@@ -69,10 +70,31 @@ fn alone() -> impl Iterator<Item = Trial> {
     })
 }
 
+/// Tests that take longer than this print how long they took.
+const SLOW: Duration = Duration::from_secs(5);
+
+/// A test that prints its time if it is slow.
+fn trial(name: impl Into<String>, test: impl FnOnce() -> Result<(), Failed> + Send + 'static) -> Trial {
+    let name = name.into();
+    let shown = name.clone();
+    Trial::test(name, move || {
+        let start = Instant::now();
+        let outcome = test();
+        let elapsed = start.elapsed();
+        if elapsed >= SLOW {
+            eprintln!("{shown} took {:.0} s", elapsed.as_secs_f32());
+        }
+        outcome
+    })
+}
+
 /// A test by the name of its function.
 macro_rules! trials {
     ($module:ident: $($name:ident),* $(,)?) => {
-        vec![$(Trial::test(concat!(stringify!($module), "::", stringify!($name)), || { $module::$name(); Ok(()) })),*]
+        vec![$(trial(
+            concat!(stringify!($module), "::", stringify!($name)),
+            || { $module::$name(); Ok(()) },
+        )),*]
     };
 }
 
@@ -89,46 +111,57 @@ fn main() {
     let mut all: Vec<Trial> = Vec::new();
     all.extend(alone());
     all.extend(trials!(architecture:
-        modules_name_only_those_before_them, no_circles_between_files, only_one_module_opens_files, files_and_functions_are_of_readable_size, names_are_plain));
+        modules_name_only_those_before_them, no_circles_between_files, only_one_module_opens_files,
+        files_and_functions_are_of_readable_size, names_are_plain));
     all.extend(trials!(metrics: equal_pictures_are_equal, the_comparer_rejects));
     all.extend(contract::trials());
     all.extend(trials!(closed_forms:
         transmittance_of_a_uniform_ball, identity_map_changes_nothing, translation_as_a_map_is_a_translation,
         normals_under_linear_maps, normals_under_a_twist, normals_on_cut_faces, anisotropic_ball_is_round,
-        oblique_ball_is_round_and_lit_alike, path_through_a_cut_slab_is_exact, composition_is_the_formula, depth_of_projections, holes_are_empty));
+        oblique_ball_is_round_and_lit_alike, path_through_a_cut_slab_is_exact, composition_is_the_formula,
+        depth_of_projections, holes_are_empty));
     all.extend(trials!(scenes:
-        every_scene_loads_and_comes_back, skipping_and_termination_change_nothing, halving_the_step_changes_little, what_holds_a_volume_is_kept, cuts_are_lit_alike_at_every_step,
+        every_scene_loads_and_comes_back, skipping_and_termination_change_nothing,
+        halving_the_step_changes_little, what_holds_a_volume_is_kept, cuts_are_lit_alike_at_every_step,
         slices_approach_rays, order_of_deformations_matters, left_is_left, empty_pictures_say_why));
     all.extend(trials!(nifti:
-        every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named, the_first_of_a_series_is_taken, the_bundled_head));
+        every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named,
+        the_first_of_a_series_is_taken, the_bundled_head));
     all.extend(trials!(fields:
-        baking_is_itk_resampling, affine_conventions_agree, vectors_turn_with_their_axes, all_orientations_agree, live_is_the_baked_picture,
-        long_stacks_are_composed, composition_keeps_its_bound, fsl_warp_is_inverted, radial_field_is_inverted, written_files_come_back,
+        baking_is_itk_resampling, affine_conventions_agree, vectors_turn_with_their_axes,
+        all_orientations_agree, live_is_the_baked_picture, long_stacks_are_composed,
+        composition_keeps_its_bound, fsl_warp_is_inverted, radial_field_is_inverted, written_files_come_back,
         composed_stacks_are_one_map, groups_with_a_vanished_member, baking_keeps_nan_in_its_place));
     all.extend(trials!(readers:
-        one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry, orientations_are_one_world,
-        series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel, a_gigabyte_needs_little_more));
+        one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry,
+        orientations_are_one_world, series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel,
+        a_gigabyte_needs_little_more));
     all.extend(trials!(damage: damaged_files_are_named));
     all.extend(trials!(fuzz: random_scenes_do_no_harm));
     all.extend(trials!(composition: random_stacks_keep_their_bound, tears_are_walked));
     all.extend(trials!(surfaces:
-        distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things, a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid,
-        narrow_pull_is_found_by_jacobian_steps, three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,
-        cut_models_are_what_they_say, surfaces_and_volumes_share_depth, volumes_inside_meshes, every_format_is_one_mesh,
-        shared_meshes_load_or_say_why, depth_map_cube_shows_the_field));
+        distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things,
+        a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid, narrow_pull_is_found_by_jacobian_steps,
+        three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,
+        cut_models_are_what_they_say, surfaces_and_volumes_share_depth, volumes_inside_meshes,
+        every_format_is_one_mesh, shared_meshes_load_or_say_why, depth_map_cube_shows_the_field));
     #[cfg(feature = "gpu")]
-    all.extend(
-        trials!(shaders: every_program_is_valid, uniforms_match_their_structs, counterparts_exist, sampled_textures_leave_room, functions_are_paired),
-    );
+    all.extend(trials!(shaders:
+        every_program_is_valid, uniforms_match_their_structs, counterparts_exist, sampled_textures_leave_room,
+        functions_are_paired));
     all.extend(trials!(command_line:
-        bad_input_is_named_and_leaves_no_file, bad_deformations_are_named, maps_and_bakes_by_the_command_line, same_bytes_for_any_number_of_threads, cpu_is_used_without_a_driver, stats_are_complete,
-        an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed, usage_errors_exit_with_2));
+        bad_input_is_named_and_leaves_no_file, bad_deformations_are_named, maps_and_bakes_by_the_command_line,
+        same_bytes_for_any_number_of_threads, cpu_is_used_without_a_driver, stats_are_complete,
+        an_existing_file_is_replaced_whole, meshes_and_fields_by_the_command_line, info_tells_what_is_needed,
+        usage_errors_exit_with_2));
     #[cfg(unix)]
     all.extend(trials!(trust:
-        every_writer_into_every_place, standard_output_takes_a_picture, what_cannot_be_printed_is_an_error, nothing_unfinished_is_left,
-        every_reader_of_every_kind_of_file, files_do_not_reach_outside, names_that_are_no_text));
+        every_writer_into_every_place, standard_output_takes_a_picture, what_cannot_be_printed_is_an_error,
+        nothing_unfinished_is_left, every_reader_of_every_kind_of_file, files_do_not_reach_outside,
+        names_that_are_no_text));
     all.extend(trials!(comparison:
-        a_sweep_is_whole_and_converges, only_like_is_compared_with_like, what_cannot_be_compared_is_told, a_missing_gpu_is_told));
+        a_sweep_is_whole_and_converges, only_like_is_compared_with_like, what_cannot_be_compared_is_told,
+        a_missing_gpu_is_told));
     #[cfg(feature = "gpu")]
     all.extend(comparison::on_a_gpu());
     #[cfg(feature = "gpu")]
@@ -137,12 +170,14 @@ fn main() {
     all.extend(trials!(command_line: no_display_is_told));
     #[cfg(feature = "gui")]
     all.extend(trials!(workstation:
-        every_panel_is_there, a_peel_is_placed_undone_saved_and_opened_again, lasso_cuts_and_restores, renderers_are_compared_and_reported,
-        broken_files_are_told, loading_is_cancelled, dragging_never_waits, the_last_save_opens_after_a_crash,
-        slices_show_deformed_and_source, a_brush_paints_and_a_map_is_used_again, the_transfer_function_is_edited, measures_ride_along,
-        exports_are_written, unsaved_work_is_asked_about, a_missing_file_is_located, the_palette_finds_commands, views_turn_pan_and_zoom,
-        what_is_drawn_over_a_picture_belongs_to_it, a_picture_that_fails_keeps_its_letters, uneven_slices_are_told_and_mended, a_field_refuses_what_it_cannot_use,
-        where_matter_came_from_is_exact));
+        every_panel_is_there, a_peel_is_placed_undone_saved_and_opened_again, lasso_cuts_and_restores,
+        renderers_are_compared_and_reported, broken_files_are_told, loading_is_cancelled,
+        dragging_never_waits, the_last_save_opens_after_a_crash, slices_show_deformed_and_source,
+        a_brush_paints_and_a_map_is_used_again, the_transfer_function_is_edited, measures_ride_along,
+        exports_are_written, unsaved_work_is_asked_about, a_missing_file_is_located,
+        the_palette_finds_commands, views_turn_pan_and_zoom, what_is_drawn_over_a_picture_belongs_to_it,
+        a_picture_that_fails_keeps_its_letters, uneven_slices_are_told_and_mended,
+        a_field_refuses_what_it_cannot_use, where_matter_came_from_is_exact));
     #[cfg(feature = "gui")]
     all.extend(workstation::on_a_gpu());
     libtest_mimic::run(&arguments, all).exit();

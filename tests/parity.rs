@@ -55,12 +55,12 @@ pub fn trials() -> Vec<Trial> {
     let mut all = vec![];
     if required {
         let missing = missing.clone();
-        all.push(Trial::test("parity::an_adapter_is_present", move || {
+        all.push(crate::trial("parity::an_adapter_is_present", move || {
             missing.map_or(Ok(()), |e| Err(e.into()))
         }));
     }
     let gpu = |name: String, test: Box<dyn FnOnce() + Send>| {
-        Trial::test(name, move || {
+        crate::trial(name, move || {
             test();
             Ok(())
         })

@@ -523,8 +523,5 @@ pub fn on_a_gpu() -> Vec<libtest_mimic::Trial> {
         a_lost_device_is_recovered();
         Ok(())
     };
-    vec![
-        libtest_mimic::Trial::test("workstation::a_lost_device_is_recovered", test)
-            .with_ignored_flag(missing),
-    ]
+    vec![crate::trial("workstation::a_lost_device_is_recovered", test).with_ignored_flag(missing)]
 }
