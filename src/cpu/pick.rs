@@ -6,12 +6,11 @@
 //! it.
 
 use super::{SceneSample, first_sample_after, sample_scene, shading, surface};
-use crate::deform::{Jet, NearestCut};
 use crate::math::normalize_or;
 use crate::prepare::Prepared;
 use crate::scene::Mode;
 use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 
 /// Fraction of a ray's light that is lost at the picked point.
 const MIN_PICK_OPACITY: f32 = 0.3;
@@ -78,7 +77,7 @@ fn along<T: Voxel>(
     if scene.settings.mode != Mode::Surface
         && let Some((deformed, at)) = first_visible_sample(scene, sampler, origin, direction, until)
     {
-        let jet = jet(scene, deformed);
+        let jet = shading::jet(scene, deformed);
         let gradient =
             shading::world_from_voxel_covector(scene, sampler.gradient(at.in_voxel, scene.gradient_filter()));
         let cut = shading::nearer_cut_shape(scene, shading::nearest_cut(scene, &jet, at.in_voxel), deformed);
@@ -111,18 +110,6 @@ fn along<T: Voxel>(
         value: at.present.then(|| in_data(at.value)),
         normal: normalize_or(normal, -direction),
     })
-}
-
-fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
-    if scene.stack.is_empty() {
-        return Jet {
-            source: deformed,
-            d_source_d_deformed: Mat3::IDENTITY,
-            cut: NearestCut::NONE,
-            alpha: 1.0,
-        };
-    }
-    scene.stack.jet(deformed)
 }
 
 /// The first sample along a ray at which enough light is lost.

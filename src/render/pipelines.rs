@@ -82,16 +82,23 @@ impl Context {
             .clone()
     }
 
+    /// The shader of a variant.
+    pub(super) fn shader_module(&self, variant: &Variant) -> wgpu::ShaderModule {
+        self.device
+            .device
+            .create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(&format!("{:?}", variant.program)),
+                source: wgpu::ShaderSource::Wgsl(
+                    variant.program.source(wgsl_constants(), variant.counting).into(),
+                ),
+            })
+    }
+
     /// Compiles the pipeline of a variant.
     fn compiled(&self, variant: Variant) -> wgpu::RenderPipeline {
         self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(&format!("{:?}", variant.program)),
-            source: wgpu::ShaderSource::Wgsl(
-                variant.program.source(wgsl_constants(), variant.counting).into(),
-            ),
-        });
+        let module = self.shader_module(&variant);
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions {
             constants: &constants,

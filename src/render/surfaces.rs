@@ -8,7 +8,6 @@
 
 use super::Renderer;
 use super::cache::SceneBindings;
-use super::constants::wgsl_constants;
 use super::context::{Context, lock};
 use super::counter::Counter;
 use super::object::{Corners, MeshCorner};
@@ -104,12 +103,7 @@ impl Context {
     fn compiled_surface(&self, variant: Variant) -> wgpu::RenderPipeline {
         self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(&format!("{:?}", variant.program)),
-            source: wgpu::ShaderSource::Wgsl(
-                variant.program.source(wgsl_constants(), variant.counting).into(),
-            ),
-        });
+        let module = self.shader_module(&variant);
         let constants = overrides(&variant);
         let options = wgpu::PipelineCompilationOptions {
             constants: &constants,
