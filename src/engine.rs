@@ -208,8 +208,8 @@ impl Engine {
         pollster::block_on(Self::open_async(options))
     }
 
-    /// As [`Self::open`], without blocking the thread while the driver answers. Rendering blocks
-    /// until the picture has been read back.
+    /// Like [`Self::open`], but does not block the thread while the driver responds. Rendering
+    /// still blocks until the picture has been read back.
     ///
     /// # Errors
     /// As [`Self::open`].

@@ -32,7 +32,7 @@ fn render(folder: &Path, arguments: &[&str]) -> Output {
     )
 }
 
-/// Writes scans and scenes that are damaged or wrong, and `good.nii`.
+/// Writes damaged or invalid scans and scenes, and `good.nii`.
 fn write_bad_input(folder: &Path) {
     let scene = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
     small().write(folder, "good.nii");

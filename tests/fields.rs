@@ -311,8 +311,8 @@ pub fn vectors_turn_with_their_axes() {
     assert!(message.contains("convention"), "{message}");
 }
 
-/// A grid with its axes in another order and some of them flipped, and for each of its voxels the
-/// corresponding one of the grid.
+/// A grid with its axes permuted and some of them flipped, and a function from its voxel indices to
+/// the voxels of `grid`.
 fn permuted(
     grid: &GridGeometry,
     order: [usize; 3],

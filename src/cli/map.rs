@@ -149,7 +149,8 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
     output.finish(&bytes)
 }
 
-/// The map of a kind with its parameters, `what`, to be written to `path`.
+/// The map of the deformation `what`, a kind with its parameters. Fails if `path`, the output, is
+/// one of the input files.
 fn map_of_kind(
     what: &str,
     path: &Path,
@@ -338,12 +339,13 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
 struct CheckOutputs {
     csv: Option<OutputFile>,
     picture: Option<OutputFile>,
-    /// Number of these files that are standard output.
+    /// How many of them go to standard output.
     to_standard_output: usize,
 }
 
 impl CheckOutputs {
-    /// Opens the files; an error if one of them is an input or another output.
+    /// Opens the files. Fails if one of them is an input, if both are the same file, or if more
+    /// than one output goes to standard output.
     fn open(arguments: &CheckArguments) -> Result<Self> {
         let read = || {
             arguments
@@ -389,7 +391,7 @@ impl CheckOutputs {
     }
 }
 
-/// The field of a file, and the notices of its transform.
+/// The field that a file describes, and the warnings from reading it.
 fn checked_field(arguments: &CheckArguments) -> Result<(CheckedField, Vec<String>)> {
     match saved_map(&arguments.file)? {
         Some(map) => Ok((CheckedField::of_map(&map), Vec::new())),

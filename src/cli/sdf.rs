@@ -132,7 +132,7 @@ fn write_field(
     })
 }
 
-/// Prints a notice if the mesh is not watertight, and if triangles were flipped.
+/// Prints a notice if the mesh is not watertight, and another if triangles were flipped.
 fn print_orientation_notices(field: &MeshField, arguments: &SdfArguments) {
     let t = &field.topology;
     if !t.watertight {
@@ -153,8 +153,8 @@ fn print_orientation_notices(field: &MeshField, arguments: &SdfArguments) {
     }
 }
 
-/// The report: size, topology and accuracy of the field, and the times of reading the mesh and of
-/// computing the field, ms.
+/// The report: size, topology and accuracy of the field, and the time to read the mesh and to
+/// compute the field, ms.
 fn report(mesh: &Mesh, field: &MeshField, exact: bool, [read_ms, field_ms]: [f64; 2]) -> Value {
     let t = &field.topology;
     json!({

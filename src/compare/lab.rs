@@ -130,8 +130,8 @@ struct Sweep<'a> {
 }
 
 impl Sweep<'_> {
-    /// Adds the timed run of a scene on each backend. A run that the GPU cannot render is an error
-    /// if the plan requires the GPU, otherwise a notice.
+    /// Times a scene on each backend and adds the runs. If the GPU cannot render it, that is an
+    /// error if the plan requires the GPU, otherwise a notice.
     fn time_backends(&mut self, scene: &Scene) -> Result<()> {
         let plan = self.plan;
         let mode = mode_name(scene.render.mode);
@@ -169,8 +169,8 @@ impl Sweep<'_> {
         self.runs.push(run);
     }
 
-    /// Renders a reference, and sets the errors of the runs from `first` on that show the same
-    /// content. Without such runs there is no reference.
+    /// Renders a reference, and sets the error of every run from index `first` on that shows the
+    /// same content (volume or surface). Renders no reference if there are no such runs.
     fn judge(&mut self, first: usize, scene: &Scene) -> Result<()> {
         let RenderSettings { mode, step, size, .. } = scene.render;
         let is_judged = |run: &Run| !run.is_reference && run.shown.surface == (mode == Mode::Surface);

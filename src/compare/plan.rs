@@ -1,4 +1,4 @@
-//! The plan of a comparison: modes, steps, sizes, cameras and the step of the references, with the
+//! The plan of a comparison: modes, steps, sizes, cameras and the step of the references; and
 //! checks that it can be carried out.
 
 use super::run::mode_name;
@@ -168,7 +168,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Checks that a reference step is in range and at most half of the finest step.
+    /// Checks that a reference step is in range and at most half the finest step.
     fn check_reference(&self, reference: f32) -> Result<()> {
         let finest = self.steps.iter().copied().fold(f32::INFINITY, f32::min);
         if !STEPS.contains(&reference) {
@@ -193,7 +193,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Checks that all pictures together fit into memory.
+    /// Checks that all pictures together have at most [`MAX_TOTAL_PIXELS`].
     fn check_total_pixels(&self, backends: usize) -> Result<()> {
         let kinds = BTreeSet::from_iter(self.modes.iter().map(|m| *m == Mode::Surface)).len();
         let pictures = (self.modes.len() * self.steps.len() * backends

@@ -78,7 +78,7 @@ pub struct PlotSeries {
     pub dots: Vec<Dot>,
 }
 
-/// The right and the lower edge of the frame around curves.
+/// Right and bottom edges of the frame around curves, in SVG units.
 const FRAME_RIGHT: f64 = WIDTH - RIGHT;
 const FRAME_BOTTOM: f64 = HEIGHT - BOTTOM;
 
@@ -101,12 +101,12 @@ impl PlotSpans {
         }
     }
 
-    /// The position of a value on the horizontal axis, in units of the plot.
+    /// Horizontal position of a value, in SVG units.
     fn x(&self, value: f64) -> f64 {
         LEFT + self.across.share(value) * (FRAME_RIGHT - LEFT)
     }
 
-    /// The position of a value on the vertical axis, in units of the plot.
+    /// Vertical position of a value, in SVG units.
     fn y(&self, value: f64) -> f64 {
         FRAME_BOTTOM - self.upwards.share(value) * (FRAME_BOTTOM - TOP)
     }

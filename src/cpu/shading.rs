@@ -295,7 +295,7 @@ pub(super) fn thin_layer_at_cut<T: Voxel>(
     Some((at_cut.depth, shaded))
 }
 
-/// Source, Jacobian and nearest cut of a deformed point.
+/// Source point, Jacobian, nearest cut and mask at a deformed point.
 pub(super) fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     if scene.stack.is_empty() {
         return Jet {

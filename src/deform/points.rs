@@ -118,10 +118,10 @@ impl Interpolant {
     }
 }
 
-/// The pairs, each target once.
+/// The pairs without duplicates.
 ///
 /// # Errors
-/// No pairs, too many, or two that contradict each other at one point.
+/// No pairs, too many, one that is not finite, or two with the same target but different sources.
 fn distinct(pairs: &[PointPair]) -> Result<Vec<PointPair>> {
     let mut distinct: Vec<PointPair> = Vec::with_capacity(pairs.len());
     for (n, p) in pairs.iter().enumerate() {
@@ -170,7 +170,7 @@ struct ScatteredDisplacements {
 }
 
 impl ScatteredDisplacements {
-    /// The displacements of pairs at their targets.
+    /// The displacement of each pair, from its target to its source, given at its target.
     fn of(pairs: &[PointPair]) -> Self {
         Self {
             points: pairs.iter().map(|p| p.to).collect(),
@@ -178,7 +178,7 @@ impl ScatteredDisplacements {
         }
     }
 
-    /// Typical distance of neighbouring points, at least 1 mm.
+    /// Typical distance between neighbouring points, at least 1 mm.
     fn spacing(&self) -> f64 {
         let points = &self.points;
         let extent = points.iter().copied().reduce(DVec3::max).unwrap_or_default()
@@ -186,7 +186,7 @@ impl ScatteredDisplacements {
         (extent.length() / (points.len() as f64).cbrt()).max(1.0)
     }
 
-    /// An interpolant without affine part.
+    /// An interpolant without an affine part.
     fn without_affine(&self, method: Method, scale: f64, weights: Vec<DVec3>) -> Interpolant {
         Interpolant {
             points: self.points.clone(),
@@ -202,7 +202,7 @@ impl ScatteredDisplacements {
         self.without_affine(Method::InverseDistance, 1.0, self.values.clone())
     }
 
-    /// Interpolates with Gaussians of a width, mm; none if their system is singular.
+    /// Interpolates with Gaussians of width `scale`, mm; none if their linear system is singular.
     fn gaussians(&self, scale: f64) -> Option<Interpolant> {
         let points = &self.points;
         let n = points.len();
@@ -216,7 +216,7 @@ impl ScatteredDisplacements {
             .map(|weights| self.without_affine(Method::Gaussian, scale, weights))
     }
 
-    /// Interpolates with a thin-plate spline; none if the points do not span space.
+    /// Interpolates with a thin-plate spline; none if the points lie in one plane.
     fn thin_plate(&self) -> Option<Interpolant> {
         let points = &self.points;
         let n = points.len();

@@ -278,23 +278,23 @@ fn data_type(volume: &Volume, stored: ScalarType) -> (ScalarType, Rescale) {
     (scalar, Rescale::NONE)
 }
 
-/// The rows of a baked volume.
+/// Computes the rows of a baked volume.
 struct VolumeRows<'a> {
     stored: StoredInterpolator<'a>,
     deformation: &'a StackAndCuts<'a>,
     grid: &'a GridGeometry,
     /// World to voxels of the source.
     voxel_from_world: DAffine3,
-    /// The type written.
+    /// The type of the written values.
     scalar: ScalarType,
-    /// From the interpolated to the written values.
+    /// Rescale from interpolated to written values.
     in_data: Rescale,
     /// The stored value outside the volume and in cuts.
     fill: f64,
 }
 
 impl VolumeRows<'_> {
-    /// Appends the row of the grid at `j` and `k`, in the bytes of the type.
+    /// Appends the bytes of the grid's row at `j` and `k`.
     fn append(&self, j: usize, k: usize, bytes: &mut Vec<u8>) {
         let Self {
             stored,

@@ -47,7 +47,7 @@ impl Device {
         pollster::block_on(Self::open_async(preference))
     }
 
-    /// As [`Self::open`], without blocking the thread, which a browser does not allow.
+    /// Like [`Self::open`], but does not block the thread: a browser does not allow blocking.
     ///
     /// # Errors
     /// As [`Self::open`].

@@ -1,4 +1,5 @@
-//! The camera, turned by drags and actions; and the outline of a lasso, drawn in its view.
+//! Moves the camera by drags and actions, and turns a lasso's outline, drawn in its view, into a
+//! cut.
 
 use super::projector::Projector;
 use super::state::Workstation;
@@ -136,7 +137,7 @@ impl Workstation {
     }
 }
 
-/// Degrees in -180 to 180.
+/// An angle wrapped to -180 to 180 degrees.
 fn wrap(degrees: f32) -> f32 {
     let wrapped = (degrees + 180.0).rem_euclid(360.0) - 180.0;
     if wrapped.is_finite() { wrapped } else { 0.0 }

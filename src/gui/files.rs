@@ -409,7 +409,7 @@ impl Workstation {
         });
     }
 
-    /// Takes a map out of the library. A scene may still refer to it, so its file is renamed rather
+    /// Removes a map from the library. A scene may still refer to it, so its file is renamed rather
     /// than deleted.
     pub(super) fn remove_map(&mut self, path: &Path) {
         if let Err(e) = std::fs::rename(path, path.with_extension("nrrd.removed")) {

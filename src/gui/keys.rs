@@ -1,4 +1,4 @@
-//! The keyboard: keys of actions, and what each key event means.
+//! The keyboard: key bindings of actions, and the handling of key events.
 
 use super::gizmos::Mode as GizmoMode;
 use super::state::Workstation;

@@ -1,11 +1,11 @@
 //! The workstation: an interactive window on a scene.
 //!
 //! *Design*: the interface only edits a [`Scene`](crate::scene::Scene) and requests pictures of it.
-//! A worker thread renders ([`worker`](state::worker)), another one picks the point under the
-//! pointer, and loading and exports have their own threads; no frame of the interface waits for any
-//! of them. Undo covers the scene without its camera, one step per gesture
-//! ([`history`](state::history)). Automatic saves for recovery after a crash are written every
-//! minute and before risky steps ([`session`](state::session)).
+//! A worker thread renders ([`worker`](state::worker)), another picks the point under the pointer,
+//! and loading and exports have their own threads; no frame of the interface waits for any of them.
+//! Undo covers the scene without its camera, one step per gesture ([`history`](state::history)).
+//! Automatic saves for recovery after a crash are written every minute and before risky steps
+//! ([`session`](state::session)).
 //!
 //! *Modules*: [`state`] holds the state of the window ([`Workstation`](state::Workstation)); it
 //! depends on no panel and no view. [`app`] starts it and draws each frame. [`views`] are the

@@ -1,4 +1,4 @@
-//! Draws panels and carries out what they ask for.
+//! Draws panels and carries out their requests.
 
 use super::state::Workstation;
 use super::state::action;
@@ -21,7 +21,7 @@ impl Workstation {
         self.carry_out_all(&ui.ctx().clone(), requests);
     }
 
-    /// Carries out what a panel asked for, in order.
+    /// Carries out the requests of a panel, in order.
     pub(super) fn carry_out_all(&mut self, ctx: &Context, requests: Requests) {
         for request in requests.0 {
             self.carry_out(ctx, request);

@@ -70,7 +70,7 @@ pub fn deformers(sources: &[DeformerSource], bounds: &Bounds) -> Result<Vec<Defo
     sources.iter().map(|d| deformer(d, bounds)).collect()
 }
 
-/// The kinds of deformers, with the names of their numbers.
+/// The kinds of deformers, with the names of their parameters.
 const DEFORMER_KINDS: [(&str, &[&str]); 7] = [
     ("twist", &["angle"]),
     ("bend", &["angle"]),
@@ -81,7 +81,7 @@ const DEFORMER_KINDS: [(&str, &[&str]); 7] = [
     ("lattice", &[]),
 ];
 
-/// The kind of a deformer, after checks of its numbers and its progress.
+/// Checks the kind, the parameters and the progress of a deformer; returns the kind.
 fn checked_kind(d: &DeformerSource) -> Result<&'static str> {
     let Some(&(kind, valid_names)) = DEFORMER_KINDS.iter().find(|k| k.0 == d.kind) else {
         return Err(Error::value(
@@ -117,7 +117,7 @@ fn checked_kind(d: &DeformerSource) -> Result<&'static str> {
     Ok(kind)
 }
 
-/// A deformer in numeric form; by default its box is that of the mesh.
+/// Resolves a deformer; its box defaults to that of the mesh.
 fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     let kind = checked_kind(d)?;
     // A flat mesh also needs a box with a volume.
@@ -139,7 +139,7 @@ fn deformer(d: &DeformerSource, bounds: &Bounds) -> Result<Deformer> {
     })
 }
 
-/// The kind of a deformer with its numbers, for a box of this size.
+/// The kind of a deformer with its resolved parameters, for a box of this size.
 fn deformer_kind(d: &DeformerSource, kind: &str, size: Vec3) -> Result<DeformerKind> {
     let progress = d.progress.unwrap_or(1.0);
     let number = |name: &str, default: f32| d.numbers.get(name).copied().unwrap_or(default);

@@ -93,7 +93,8 @@ impl Assets {
         })
     }
 
-    /// Resolves surface `n` of a scene. `slopes` are those of the stack, computed on first use.
+    /// Resolves surface `n` of a scene. `slopes` holds the stack's Lipschitz bounds, computed on
+    /// first use.
     fn object<'a>(
         &self,
         scene: &Scene,
@@ -180,8 +181,8 @@ impl Assets {
     }
 }
 
-/// Whether a surface is drawn in two stages: as triangles outside the deformations' boxes, by rays
-/// within.
+/// Whether a surface is drawn in two stages: as triangles outside the deformations' boxes, by ray
+/// casting inside.
 fn has_two_stages(source: &MeshSource, general: &SurfaceSettings, model: CutModel) -> bool {
     // The inner wall of a thick skin is not part of the triangles: such a surface is rendered
     // entirely by rays.
@@ -191,8 +192,8 @@ fn has_two_stages(source: &MeshSource, general: &SurfaceSettings, model: CutMode
         && model != CutModel::Thick
 }
 
-/// The part of a mesh's box in which two stages need the field, mm: where the content of the
-/// deformations' boxes comes from.
+/// The part of a mesh's box in which two-stage rendering needs the field, mm: the source region of
+/// the deformations' boxes.
 fn field_region(mesh: &Bounds, source: &MeshSource, general: &SurfaceSettings, stack: &Stack) -> Bounds {
     let cell = cell_of(mesh, source.resolution.unwrap_or(general.resolution));
     let part = stack

@@ -1,4 +1,4 @@
-//! Whether a box of the deformed scene may show anything of a volume, by interval arithmetic.
+//! Decides by interval arithmetic whether a box of the deformed scene may show any of a volume.
 
 use crate::deform::Stack;
 use crate::deform::cut::CutShapes;

@@ -60,8 +60,8 @@ impl ValueBoundsCache {
         (buffer, levels)
     }
 
-    /// The states of the cells of a grid, x fastest; `None` for a scene whose levels or maps exceed
-    /// those of the shader.
+    /// The states of the cells of a grid, x fastest; `None` if the scene has more maps or pyramid
+    /// levels than the shader supports.
     pub(super) fn classified(
         &self,
         context: &Context,
@@ -134,7 +134,7 @@ impl ValueBoundsCache {
     }
 }
 
-/// The bounds of all maps of a stack in one buffer. Records the copies, and writes the place of
+/// The bounds of all maps of a stack in one buffer. Records the copies, and writes the offset of
 /// each map's levels into the uniform.
 fn joined_map_bounds(
     context: &Context,
@@ -163,7 +163,7 @@ fn joined_map_bounds(
     map_nodes
 }
 
-/// The number of visible entries of a table before each entry, and in all of it.
+/// Running count of a table's visible entries: before each entry, and in total.
 fn visible_entries(table: &TransferTable) -> Vec<u32> {
     let mut visible = Vec::with_capacity(TABLE_ENTRIES + 1);
     visible.push(0u32);
@@ -173,7 +173,7 @@ fn visible_entries(table: &TransferTable) -> Vec<u32> {
     visible
 }
 
-/// The pipeline for a scene's numbers of maps and cuts, compiled on first use.
+/// The pipeline for the scene's number of maps and of cuts, compiled on first use.
 fn classification_pipeline(
     context: &Context,
     contents: &VisibilityCriteria,

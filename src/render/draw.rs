@@ -361,8 +361,8 @@ impl<'a> SliceTargets<'a> {
 }
 
 impl Context {
-    /// Records slabs front to back, and submits them in batches except the last one. Between slabs,
-    /// pixels that have become opaque are masked.
+    /// Records slabs front to back and submits all batches except the last. Between slabs, masks
+    /// pixels that have become opaque.
     fn draw_slabs(
         &self,
         draw: &Draw,

@@ -351,7 +351,7 @@ impl Renderer {
 struct PictureInputs<'a> {
     scene: &'a Prepared<'a>,
     shared: &'a SceneBindings,
-    /// The counters, if samples are counted.
+    /// Counts samples; none if they are not counted.
     counter: Option<&'a Counter>,
     watch: &'a Watch<'a>,
 }

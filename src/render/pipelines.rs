@@ -160,7 +160,7 @@ impl Context {
     }
 }
 
-/// The format that a variant draws in, and how it blends.
+/// The format that a variant draws to, and how it blends.
 fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
     // Front to back: new content is blended under the existing content.
     let through = wgpu::BlendComponent {

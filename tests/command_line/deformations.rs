@@ -4,7 +4,7 @@ use super::{incise, render, stderr};
 use std::path::Path;
 use std::process::Output;
 
-/// Writes the volume, fields and transforms that the deformations name, most of them unusable.
+/// Writes the volume, fields and transforms that the deformations refer to, most of them unusable.
 fn write_inputs(folder: &Path) {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/itk");
     for name in ["volume.nii.gz", "field.nrrd", "affine.tfm", "composite.tfm"] {

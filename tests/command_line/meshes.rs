@@ -132,7 +132,8 @@ fn check_refused_commands(folder: &Path) {
     }
 }
 
-/// Checks that scenes with wrong meshes or surfaces are refused by name.
+/// Checks that scenes with invalid meshes or surfaces are refused with a message that names the
+/// fault.
 fn check_refused_scenes(folder: &Path) {
     let mesh = "incise = 1\n[[mesh]]\npath = \"tet.obj\"\n";
     for (text, culprit) in [

@@ -1,4 +1,4 @@
-//! Stacks of maps composed to one map, and groups of cuts.
+//! Stacks of maps composed into one map, and groups of cuts.
 
 use super::{assets, stack_of};
 use crate::closed_forms::picture;

@@ -5,9 +5,9 @@ use std::path::Path;
 
 /// Voxels of most of these volumes along each axis.
 const EDGE: usize = 24;
-/// Voxels of these volumes in all.
+/// Total number of voxels of each of these volumes.
 const VOXELS: usize = EDGE * EDGE * EDGE;
-/// Geometry of these volumes in an NRRD header: voxels of 4 mm around the origin.
+/// Geometry of these volumes in an NRRD header: voxels of 4 mm, centred on the origin.
 const DIRECTIONS: &str = "space directions: (4,0,0) (0,4,0) (0,0,4)\nspace origin: (-46,-46,-46)";
 
 /// Files of every kind to which a scene can refer.
@@ -52,7 +52,7 @@ impl Files {
         }
     }
 
-    /// The folder.
+    /// The folder that holds the files.
     pub(super) fn path(&self) -> &Path {
         self.folder.path()
     }
@@ -78,7 +78,7 @@ fn plain_header() -> String {
     format!("type: uchar\ndimension: 3\nsizes: 24 24 24\n{DIRECTIONS}")
 }
 
-/// The place of a voxel relative to the centre, voxels.
+/// The position of a voxel relative to the centre, voxels.
 fn at(n: usize) -> Vec3 {
     Vec3::new(
         (n % EDGE) as f32,
@@ -135,7 +135,7 @@ fn volumes(folder: &Path) -> Vec<String> {
     ]
 }
 
-/// Writes label maps and returns their names, with that of a phantom.
+/// Writes label maps and returns their names and that of a phantom.
 fn labels(folder: &Path) -> Vec<String> {
     let nrrd = |name: &str, header: &str, values: &[u8]| write_nrrd(folder, name, header, values);
     let regions: Vec<u8> = (0..VOXELS)

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The real window on a display of its own, used with a real mouse: it opens, a drag turns the head,
-# a peel is dropped and opened, renderers are compared, the session is saved. Photographs on the way
-# go into the folder that is named, or nowhere.
+# a peel is dropped and opened, renderers are compared, the session is saved. Screenshots go into
+# FOLDER, if it is given.
 #
 #   tests/gui/run.sh PROGRAM [FOLDER]
 #
@@ -29,8 +29,8 @@ fail() {
 # A free display number.
 for n in $(seq 80 120); do
   [ -e "/tmp/.X11-unix/X$n" ] && continue
-  # Without -noreset the display starts anew whenever its last client leaves, and the next one may
-  # meet it while it does.
+  # Without -noreset the display resets whenever its last client leaves, and the next client may
+  # connect during the reset.
   Xvfb ":$n" -screen 0 1280x800x24 -noreset >/dev/null 2>&1 &
   server=$!
   export DISPLAY=:$n

@@ -1,4 +1,4 @@
-//! The shaders' functions at thousands of points.
+//! The shaders' functions compared with the CPU's at thousands of points.
 
 use super::{PREPARE, with_strategy};
 use crate::contract::points;

@@ -71,8 +71,8 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
     }
 }
 
-/// Scenes with their names: maps that the device samples and others, every kind of shape, and all
-/// settings that determine visibility.
+/// Scenes with their names: maps that the device samples and maps that it does not, every kind of
+/// shape, and all settings that determine visibility.
 fn scenes_with_empty_space() -> Vec<(String, Scene)> {
     let small = |name: &str, change: &dyn Fn(&mut Scene)| {
         let mut scene = scenes::load(name);

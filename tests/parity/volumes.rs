@@ -1,4 +1,4 @@
-//! Kinds of voxels, their own colours, and volumes too large for the device.
+//! Voxel types, volumes with their own colours, and volumes too large for the device.
 
 use super::{agree, with_renderer};
 use crate::metrics::{STEP, difference};

@@ -1,4 +1,4 @@
-//! Files of meshes: one mesh in every format, damaged files, files of other programs.
+//! Mesh files: one mesh in every format, damaged files, files of other programs.
 
 use super::{field, grid_points};
 use base64::Engine;
@@ -7,12 +7,12 @@ use incise::mesh::field::FieldSettings;
 use incise::mesh::{Mesh, load, shapes};
 use std::path::{Path, PathBuf};
 
-/// The corners of a triangle as numbers of points, the first of which is `base`.
+/// The vertex indices of a triangle as text, counted from `base`.
 fn face(t: &[u32; 3], base: u32) -> String {
     format!("{} {} {}", t[0] + base, t[1] + base, t[2] + base)
 }
 
-/// Lines of text, each with its end.
+/// Lines of text, each ending in a newline.
 fn lines(items: Vec<String>) -> String {
     items.join("\n") + "\n"
 }
@@ -30,7 +30,7 @@ fn floats(p: &[Vec3]) -> Vec<u8> {
         .collect()
 }
 
-/// The corners of all triangles as 32-bit integers, little-endian.
+/// The vertex indices of all triangles as 32-bit integers, little-endian.
 fn indices(mesh: &Mesh) -> Vec<u8> {
     mesh.triangles
         .iter()
@@ -108,7 +108,7 @@ fn ply(mesh: &Mesh) -> (Vec<u8>, Vec<u8>) {
     (text_ply.into_bytes(), binary_ply)
 }
 
-/// A mesh as glTF, transformed by a node, as is common: half the size, then doubled.
+/// A mesh as glTF, stored at half its size and doubled by a node's transform.
 fn gltf(mesh: &Mesh) -> String {
     let (v, f) = (&mesh.positions, &mesh.triangles);
     let halved: Vec<Vec3> = v.iter().map(|p| *p * 0.5).collect();
@@ -235,7 +235,7 @@ pub fn every_format_is_one_mesh() {
     assert!(huge.contains("99999999999"), "{huge}");
 }
 
-/// Checks that contradictory glTF files are refused with their fault.
+/// Checks that contradictory glTF files are refused with a message that names the fault.
 fn check_broken_gltf() {
     let head = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],"#;
     let data = r#""bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
@@ -272,7 +272,7 @@ fn check_broken_gltf() {
     }
 }
 
-/// Checks files that other programs accept: an upper-case STL, a name in Latin-1.
+/// Checks that files that other programs accept are read: an upper-case STL, a name in Latin-1.
 fn check_files_of_other_programs() {
     let upper = "SOLID x\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\nENDLOOP\nENDFACET\nENDSOLID x\n";
     assert_eq!(

@@ -1,4 +1,5 @@
-//! Every reader of every kind of file, references to files elsewhere, names of files.
+//! Every reader with every kind of file, references to files elsewhere, file names that are not
+//! text.
 
 use super::{HANGS, READERS, incise, inputs, node, stderr, words};
 use rustix::fs::FileType;

@@ -1,4 +1,4 @@
-//! Every writer into every kind of destination, standard output, interrupted writing.
+//! Every writer with every kind of destination, standard output, interrupted writes.
 
 use super::{HANGS, WRITERS, Writer, command, incise, inputs, node, stderr, words};
 use rustix::fs::FileType;
@@ -47,14 +47,14 @@ struct WriterRun<'a> {
 }
 
 impl WriterRun<'_> {
-    /// A destination with the extension of the writer.
+    /// A destination with the writer's extension.
     fn place(&self, name: &str) -> PathBuf {
         self.folder
             .join("places")
             .join(format!("{name}.{}", self.writer.ending))
     }
 
-    /// The words of the writer with a destination in the place of `OUT`.
+    /// The writer's command-line arguments, with a destination in place of `OUT`.
     fn arguments(&self, path: &Path) -> Vec<OsString> {
         self.writer
             .words
@@ -79,8 +79,8 @@ impl WriterRun<'_> {
         );
     }
 
-    /// Checks that a destination is refused with one line that contains a word, and that no file
-    /// changes.
+    /// Checks that a destination is refused with exactly one line that contains a word, and that no
+    /// file changes.
     fn refused(&self, path: &Path, word: &str) {
         let before = tree(self.folder);
         let output = self.run(path);
@@ -107,7 +107,7 @@ impl WriterRun<'_> {
         assert!(changed.is_empty(), "{arguments:?} changed {changed:?}");
     }
 
-    /// Checks that a file holds all that the writer writes.
+    /// Checks that a file has the writer's complete content.
     fn complete(&self, path: &Path) {
         assert!(
             is_complete(&std::fs::read(path).unwrap(), self.writer.ending),
@@ -143,7 +143,7 @@ impl WriterRun<'_> {
         }
     }
 
-    /// A file is written, and replaced, through the system's name for the working folder.
+    /// A file is written, then replaced, through `/proc/self/cwd`.
     #[cfg(target_os = "linux")]
     fn check_system_name(&self) {
         for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! A window for tests, with what a user can do in it.
+//! A workstation for tests, and a user's input to it.
 
 use eframe::egui::{self, Key, Modifiers, PointerButton, Pos2, Rect, vec2};
 use egui_kittest::Harness;

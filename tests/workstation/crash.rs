@@ -1,4 +1,4 @@
-//! Saved and automatically saved scenes of a window that is killed.
+//! Saved and automatically saved scenes survive when the window is killed.
 
 use super::HEAD;
 use super::bench::{Bench, workstation};

@@ -19,7 +19,7 @@ fn resident_mib() -> f64 {
     pages * 4096.0 / (1 << 20) as f64
 }
 
-/// A random number below another.
+/// A random number below `n`.
 fn below(random: &mut TestRng, n: usize) -> usize {
     random.next_u32() as usize % n
 }
@@ -28,7 +28,7 @@ fn below(random: &mut TestRng, n: usize) -> usize {
 struct Monkey {
     bench: Bench,
     random: TestRng,
-    /// The 3D view as the window opened.
+    /// Rectangle of the 3D view when the window opened.
     view: Rect,
     /// Descriptions of the last actions.
     recent: Vec<String>,
@@ -72,8 +72,8 @@ impl Monkey {
         true
     }
 
-    /// Sends random input: a drag, a click in the 3D view, a key, or numbers, depending on `what`,
-    /// a number from 62 to 99.
+    /// Sends random input: a drag, a click in the 3D view, a key, or numbers as the inspector sets
+    /// them. `what`, from 62 to 99, selects which.
     fn send_any_input(&mut self, what: usize) {
         if what < 74 {
             let modifiers =
@@ -138,8 +138,7 @@ impl Monkey {
         }
     }
 
-    /// Limits the number of deformations, surfaces and measures, since memory grows with it in any
-    /// program.
+    /// Limits the number of deformations, surfaces and measures, since memory grows with them.
     fn limit_scene(&mut self) {
         if let Some(doc) = self.bench.app().doc.as_mut() {
             if doc.scene.deformation.len() > 4 {

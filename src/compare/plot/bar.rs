@@ -40,7 +40,7 @@ impl Bar {
     }
 }
 
-/// The texts of a plot of bars, and its positions and lengths, in units of the plot.
+/// The labels and layout of a bar plot. Positions and lengths are in SVG units unless stated.
 struct BarLayout<'a> {
     /// Quantity and unit of the axis.
     label: &'a str,
@@ -50,15 +50,15 @@ struct BarLayout<'a> {
     left: f64,
     /// Left end of the legend.
     right: f64,
-    /// Height of all rows.
+    /// Height of all rows together.
     rows: f64,
     /// Height of the plot.
     height: f64,
-    /// Length of the longest bar, in units of the axis.
+    /// Length of the longest bar, in the unit of the axis.
     longest: f64,
-    /// Length of one unit of the axis.
+    /// SVG units per unit of the axis.
     scale: f64,
-    /// Indices of the parts that are not merged into "other".
+    /// Indices of the parts that are shown, not merged into "other".
     shown_parts: Vec<usize>,
 }
 

@@ -12,7 +12,7 @@ pub(super) const CHARACTER: f64 = 6.3;
 /// Number of colours for curves and parts of bars.
 pub(super) const COLORS: usize = 10;
 
-/// The start of a plot of this height, with its title.
+/// The opening tag of a plot of this height, and its title.
 pub(super) fn opening(title: &str, height: f64) -> String {
     let title = escaped(title);
     format!(
@@ -21,7 +21,7 @@ pub(super) fn opening(title: &str, height: f64) -> String {
     )
 }
 
-/// The attribute of a dashed line; empty for a solid one.
+/// The attribute that dashes a line; empty for a solid line.
 pub(super) fn dash(dashed: bool) -> &'static str {
     if dashed { " stroke-dasharray=\"6 4\"" } else { "" }
 }

@@ -1,4 +1,4 @@
-//! The error of one mapping compared with another, and how small it must be.
+//! The error of one mapping relative to another, and the limits on it.
 
 use crate::math::Bounds;
 use glam::Vec3;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 /// Points at which a composed map is compared with its original during refinement.
 pub(super) const PROBES: usize = 100_000;
-/// Points of the comparison at the end.
+/// Points of the final comparison.
 pub(super) const LAST_PROBES: usize = 600_000;
 /// Fraction of the bound that the error at the compared points may use: between them it may be
 /// larger.
@@ -28,7 +28,7 @@ pub(super) fn spread(n: usize) -> Vec3 {
     )
 }
 
-/// The largest of some errors and their 99th percentile; zeros if there are none.
+/// The largest error and the 99th percentile; zeros if there are no errors.
 pub(super) fn worst_and_p99(mut errors: Vec<f32>) -> (f32, f32) {
     if errors.is_empty() {
         return (0.0, 0.0);

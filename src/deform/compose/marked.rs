@@ -1,4 +1,4 @@
-//! Precomposes a stack into one map, with the cells marked in which it is not accurate enough.
+//! Precomposes a stack into one map, and marks the cells in which the map is not accurate enough.
 
 use super::comparison::{Comparison, LAST_PROBES, MIN_GAIN, OF_BOUND, spread, worst_and_p99};
 use super::grid::{Evaluate, MAX_SEARCH_TEXELS, cubes, finest, grid_for, grid_samples};

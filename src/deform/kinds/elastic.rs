@@ -139,7 +139,7 @@ fn build(c: &FieldContext, inputs: &FieldInputs) -> Result<Box<dyn Field>> {
     }))
 }
 
-/// The rows of `n` numbers of a setting; `what` names the columns.
+/// The numbers of a setting in rows of `n`; `what` names the columns.
 fn rows(settings: &Arguments, name: &str, n: usize, what: &str) -> Result<Vec<Vec<f32>>> {
     let numbers = settings.numbers(name)?.unwrap_or_default();
     if numbers.len() % n != 0 {
@@ -157,13 +157,13 @@ fn rows(settings: &Arguments, name: &str, n: usize, what: &str) -> Result<Vec<Ve
 /// The regions that are dragged, held or cut, in the box's local millimetres.
 struct Regions {
     grabs: Vec<Grab>,
-    /// Centre and radius.
+    /// Centres and radii of the regions that are held.
     fixed: Vec<(Vec3, f32)>,
     incisions: Vec<Incision>,
 }
 
 impl Regions {
-    /// Reads the regions from the settings; the grabs move as far as the progress allows.
+    /// Reads the regions from the settings. The progress scales the offsets of the grabs.
     fn read(c: &FieldContext, inputs: &FieldInputs) -> Result<Self> {
         let settings = inputs.settings;
         let local_from_world = inputs.world_from_local.inverse();
@@ -210,9 +210,10 @@ impl Regions {
 
 /// The stiffness of the labels of a label map.
 struct LabelStiffness {
-    /// Rows of a label and its stiffness.
+    /// One row per label: the label and its stiffness.
     by_label: Vec<Vec<f32>>,
-    /// The label map, and its voxel indices from world millimetres; none if no label is given.
+    /// The label map and its transform from world millimetres to voxel indices; none if no label is
+    /// given.
     label_map: Option<(Arc<Volume>, DAffine3)>,
     world_from_local: Affine3A,
 }

@@ -1,4 +1,4 @@
-//! Derivatives of a map's displacement and mask, by differences between texels.
+//! Derivatives of a map's displacement and mask, from differences between texels.
 
 use super::DisplacementMap;
 use crate::math::cells::{Cells, Vec4x8, mix_with_differences};

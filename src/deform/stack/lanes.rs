@@ -1,4 +1,4 @@
-//! Walks of eight points at once.
+//! Walks eight points through a stack at once.
 
 use super::{PlacedMap, PrecomposedMap, Stack};
 use crate::deform::DisplacementMap;

@@ -23,7 +23,7 @@ impl ItkTransform {
         self.kind.split_once('_').unwrap_or((&self.kind, ""))
     }
 
-    /// Fails unless there are `n` parameters and at least `fixed` fixed ones.
+    /// Fails unless there are exactly `n` parameters and at least `fixed` fixed parameters.
     fn require(&self, path: &Path, n: usize, fixed: usize) -> Result<()> {
         let (p, f) = (&self.parameters, &self.fixed);
         if p.len() == n && f.len() >= fixed {
@@ -188,7 +188,7 @@ fn step(path: &Path, entry: &ItkTransform) -> Result<TransformStep> {
     }
 }
 
-/// An affine transform, of any of ITK's types.
+/// The affine transform of an entry of any affine ITK type.
 fn affine(path: &Path, entry: &ItkTransform) -> Result<DAffine3> {
     let (p, f) = (&entry.parameters, &entry.fixed);
     let (name, _) = entry.name_and_dimensions();

@@ -42,7 +42,7 @@ impl Gizmo<'_> {
         }
     }
 
-    /// Draws the line that a handle moves along or comes from: ring, arrow, path.
+    /// Draws a handle's guide: the ring or path that it moves along, or the line from its origin.
     fn draw_guide(&self, painter: &Painter, place: &BoxPlacement, handle: Handle, at: Vec3, is_hot: bool) {
         let rim = Stroke::new(3.5, Color32::from_black_alpha(170));
         let line = |from: Vec3, to: Vec3, color: Color32, width: f32| {

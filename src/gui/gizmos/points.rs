@@ -1,4 +1,4 @@
-//! Control points of the kinds that have them: where they are, and where a drag puts them.
+//! Control points of deformations: their positions, and how a drag moves them.
 
 use super::placement::BoxPlacement;
 use crate::deform::Argument;

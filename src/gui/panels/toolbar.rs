@@ -128,7 +128,7 @@ const RENDERERS: [ActionButton; 4] = [
 ];
 
 impl ActionButton {
-    /// Shows it, selected if its tool is armed or its renderer is in use.
+    /// Shows the button, selected if its tool is armed or its renderer is in use.
     fn show(&self, state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
         let selected = match self.action {
             Action::Arm(tool) => state.tool == tool,
@@ -149,7 +149,7 @@ impl ActionButton {
     }
 }
 
-/// Shows the most frequent cuts and displacements, and the menu of all kinds.
+/// Shows the most common cuts and displacements, and the menu of all kinds.
 fn show_deformations(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     for (kind, word) in [
         ("half-space", "Plane"),
@@ -171,7 +171,7 @@ fn show_deformations(state: &Workstation, ui: &mut Ui, requests: &mut Requests) 
         .widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "More deformations"));
 }
 
-/// Shows the buttons for undo and redo, greyed out without a step to take.
+/// Shows the buttons for undo and redo, greyed out if there is nothing to undo or redo.
 fn show_undo(state: &Workstation, ui: &mut Ui, requests: &mut Requests) {
     let (undo, redo) = state.doc.as_ref().map_or((false, false), |d| {
         (state.history.has_undo(&d.scene), state.history.has_redo(&d.scene))

@@ -1,5 +1,5 @@
-//! What panels and views ask of the application. They read the state and change none of it; the
-//! application carries out what they asked for once they are drawn.
+//! Requests from panels and views to the application. Panels and views read the state and change
+//! none of it; once they are drawn, the application carries out their requests.
 
 use super::action::Action;
 use super::document::{Document, Selection};
@@ -16,116 +16,116 @@ use eframe::egui::{KeyboardShortcut, Rect, Vec2};
 use glam::Vec3;
 use std::path::PathBuf;
 
-/// One of the things that can be asked for.
+/// A request from a panel or view.
 pub enum Request {
-    /// An action, as a key or the palette would.
+    /// Performs an action, as a key or the palette does.
     Perform(Action),
-    /// An action on something, which is selected first.
+    /// Selects something and performs an action on it.
     PerformOn(Selection, Action),
-    /// To select something.
+    /// Selects something.
     Select(Selection),
-    /// To bring a panel to the front.
+    /// Brings a panel to the front.
     Show(Panel),
-    /// A change of the open scene.
+    /// Changes the open scene.
     Change(Box<dyn FnOnce(&mut Document)>),
-    /// To arm a tool, even if it is armed already.
+    /// Arms a tool, or disarms it if it is armed already.
     Arm(Tool),
-    /// To open a file or a folder.
+    /// Opens a file or a folder.
     Open(PathBuf),
-    /// To open a file that comes with the program.
+    /// Opens a file that comes with the program.
     OpenBundled(&'static str),
-    /// To stop loading.
+    /// Cancels loading.
     CancelLoading,
-    /// To stop a task, by its place in the list.
+    /// Cancels a task, by its index in the list.
     CancelTask(usize),
-    /// Another backend.
+    /// Selects the backend.
     SetBackend(Backend),
-    /// Whether slices show the deformed or the source anatomy.
+    /// Selects whether slices show the deformed or the source anatomy.
     SetSpace(Space),
-    /// To delete the messages.
+    /// Deletes the messages.
     ClearLog,
-    /// Another key for the action of a label.
+    /// Binds a key to the action with this label.
     SetKey(String, KeyboardShortcut),
-    /// The default keys.
+    /// Restores the default keys.
     ResetKeys,
-    /// The mouse as in Blender, or as in 3D Slicer.
+    /// Uses the mouse as in Blender, or as in 3D Slicer.
     SetMouse {
         /// Which.
         blender: bool,
     },
-    /// The drag that is under way.
+    /// Sets the drag in progress.
     SetGesture(Option<Gesture>),
-    /// Another tool, without more.
+    /// Sets the tool, without the side effects of [`Self::Arm`].
     SetTool(Tool),
-    /// What is under the pointer.
+    /// Sets what is under the pointer.
     SetHover(Option<Hover>),
-    /// What lies under a position of the 3D view.
+    /// Picks the point under a position of the 3D view.
     Probe([f32; 2], ProbePurpose),
-    /// A picture for a pane of the slices, unless it is there.
+    /// Renders a picture for a pane of the slices, unless the pane already has it.
     Slice(usize, SectionPlane, SliceStyle),
-    /// A click into a slice.
+    /// Handles a click on a slice.
     ClickSlice {
-        /// Where, mm.
+        /// Position of the click, mm.
         at: Vec3,
         /// Which of the three views.
         n: usize,
-        /// It shows the source.
+        /// Whether the slice shows the source.
         source: bool,
     },
-    /// The beginning of a brush stroke.
+    /// Begins a brush stroke.
     BeginStroke,
-    /// A point of the stroke, mm.
+    /// Adds a point to the stroke, mm.
     ExtendStroke(Vec3),
-    /// The end of the stroke.
+    /// Ends the stroke.
     EndStroke,
-    /// The end of a lasso's outline.
+    /// Closes a lasso's outline and applies it.
     FinishLasso,
-    /// A change of the slices' window and level, points.
+    /// Changes the slices' window and level by a drag, points.
     DragWindow(Vec2),
-    /// A change of the transfer function's window and level, points.
+    /// Changes the transfer function's window and level by a drag, points.
     DragTransfer(Vec2),
-    /// To interrupt what is under way.
+    /// Cancels a drag, disarms a tool, or deselects.
     Escape,
-    /// A named direction of view.
+    /// Looks from a named direction.
     LookFrom(&'static str),
-    /// To roll the camera, degrees.
+    /// Rolls the camera, degrees.
     Roll(f32),
-    /// To turn the camera, points.
+    /// Orbits the camera by a drag, points.
     Orbit(Vec2),
-    /// To move the camera across a view, points.
+    /// Pans the camera by a drag across a view, points.
     Pan(Vec2, Rect),
-    /// To zoom by a factor.
+    /// Zooms by a factor.
     Zoom(f32),
-    /// Another brush.
+    /// Sets the brush.
     SetBrush(Brush),
-    /// What is drawn over the slices.
+    /// Sets what is drawn over the slices.
     SetOverlay(Overlay),
-    /// The thumbnails of a gallery that is being shown.
+    /// Makes the thumbnails of a gallery that is being shown.
     MakeThumbnails(Gallery),
-    /// The choice of a label map.
+    /// Opens the dialog that chooses a label map.
     ChooseLabelMap,
-    /// A map of the library, for this scene.
+    /// Adds a map of the library to the scene.
     UseMap(PathBuf),
-    /// To take a map out of the library.
+    /// Removes a map from the library.
     RemoveMap(PathBuf),
 }
 
-/// What one panel asked for while it was drawn, in order.
+/// The requests that one panel makes while it is drawn, in order.
 #[derive(Default)]
 pub struct Requests(pub Vec<Request>);
 
 impl Requests {
-    /// Asks for an action.
+    /// Requests an action.
     pub fn perform(&mut self, action: Action) {
         self.0.push(Request::Perform(action));
     }
 
-    /// Asks what lies under a position of the 3D view.
+    /// Requests the point under a position of the 3D view.
     pub fn ask(&mut self, at: [f32; 2], purpose: ProbePurpose) {
         self.0.push(Request::Probe(at, purpose));
     }
 
-    /// Asks for a change of the open scene.
+    /// Requests a change of the open scene.
     pub fn change(&mut self, change: impl FnOnce(&mut Document) + 'static) {
         self.0.push(Request::Change(Box::new(change)));
     }

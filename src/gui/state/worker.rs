@@ -322,7 +322,7 @@ struct StartedJob {
     job: Job,
     cancel: Arc<AtomicBool>,
     backend: Backend,
-    /// The device must be given up first.
+    /// Whether to give up the device first.
     lose: bool,
 }
 

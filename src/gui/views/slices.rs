@@ -22,7 +22,7 @@ use glam::Vec3;
 const ARROWS: f32 = 24.0;
 
 impl Slices {
-    /// Draws one of the three views, and handles what the pointer does on it.
+    /// Draws one of the three views and handles pointer input on it.
     pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui, n: usize) -> Requests {
         let mut requests = Requests::default();
         let size = ui.available_size().max(vec2(16.0, 16.0));
@@ -62,7 +62,7 @@ impl Slices {
         requests
     }
 
-    /// Draws one pane, and handles what the pointer does on it.
+    /// Draws one pane and handles pointer input on it.
     fn show_pane(
         &mut self,
         state: &Workstation,
@@ -143,7 +143,7 @@ impl Slices {
         self.handle_input(state, doc, ui, &on, requests);
     }
 
-    /// The plane that a pane shows through a point, at its zoom and pan.
+    /// The plane through a point that a pane shows at its zoom and pan.
     fn plane(&self, doc: &Document, area: &PaneArea, through: Vec3) -> SectionPlane {
         let (_, right, down) = ORIENTATIONS[area.n];
         let (rect, ppp) = (area.rect, area.pixels_per_point);
@@ -165,8 +165,8 @@ impl Slices {
         }
     }
 
-    /// Draws the newest picture of a pane, with crosshair, letters, scale bar and title; returns
-    /// the picture's plane, none without a picture.
+    /// Draws the latest picture of a pane, with crosshair, orientation letters, scale bar and
+    /// title. Returns the picture's plane; none without a picture.
     fn draw_picture(
         &self,
         painter: &Painter,
@@ -217,7 +217,7 @@ impl Slices {
         Some(shown)
     }
 
-    /// Handles what the pointer does on a pane.
+    /// Handles pointer input on a pane.
     fn handle_input(
         &mut self,
         state: &Workstation,
@@ -259,7 +259,7 @@ impl Slices {
         }
     }
 
-    /// Zooms or scrolls by the wheel, and reports the point under the pointer.
+    /// Zooms or scrolls with the wheel, and reports the point under the pointer.
     fn handle_hover(
         &mut self,
         state: &Workstation,
@@ -327,14 +327,14 @@ impl Slices {
 struct PaneArea {
     /// Which of the three views.
     n: usize,
-    /// It shows the source.
+    /// Whether it shows the source.
     source: bool,
     rect: Rect,
     pixels_per_point: f32,
 }
 
 impl PaneArea {
-    /// Index of the pane: the view; from 3 on, the same of the source.
+    /// Index of the pane: 0 to 2 for the views, 3 to 5 for the same views of the source.
     fn pane(&self) -> usize {
         self.n + if self.source { 3 } else { 0 }
     }
@@ -346,7 +346,7 @@ impl PaneArea {
     }
 }
 
-/// A pane, and what the pointer does on it.
+/// A pane and the pointer input on it.
 struct PaneInput<'a> {
     area: PaneArea,
     response: &'a Response,

@@ -24,7 +24,7 @@ use eframe::egui::{
 use glam::Vec3;
 
 impl View3d {
-    /// Draws the view, and handles what the pointer does on it.
+    /// Draws the view and handles pointer input on it.
     pub(in crate::gui) fn ui(&mut self, state: &Workstation, ui: &mut Ui) -> Requests {
         let mut requests = Requests::default();
         let (rect, response) =
@@ -101,7 +101,7 @@ impl View3d {
         requests
     }
 
-    /// Handles what the pointer does.
+    /// Handles pointer input.
     fn handle_input(&mut self, state: &Workstation, ui: &Ui, on: &ViewInput, requests: &mut Requests) {
         let ViewInput {
             response,
@@ -163,7 +163,7 @@ impl View3d {
         }
     }
 
-    /// Zooms by the wheel, chooses the cursor, and asks for the point under the pointer.
+    /// Zooms with the wheel, sets the cursor's shape, and requests the point under the pointer.
     fn handle_hover(&mut self, state: &Workstation, ui: &Ui, on: &ViewInput, requests: &mut Requests) {
         let scroll = ui.input(|i| i.smooth_scroll_delta.y + 300.0 * (i.zoom_delta() - 1.0));
         if scroll != 0.0 {
@@ -410,7 +410,7 @@ impl View3d {
     }
 }
 
-/// What the pointer does on the view.
+/// Pointer input on the view.
 struct ViewInput<'a> {
     response: &'a Response,
     projector: &'a Projector,
@@ -471,7 +471,7 @@ fn is_as_shown(state: &Workstation, seen: &Deformation) -> bool {
     })
 }
 
-/// The measurements of the picture, and what is being drawn.
+/// Draws the picture's measurements, the incomplete one, and the current brush stroke.
 fn draw_measures(state: &Workstation, painter: &Painter, projector: &Projector, picture: &DisplayedPicture) {
     let selected = state.doc.as_ref().and_then(|d| match d.selected {
         Selection::Measure(n) => d.scene.measure.get(n),

@@ -15,20 +15,20 @@ const SLIDES: usize = 3;
 struct IsoValues {
     values: Vec<f32>,
     size: [usize; 3],
-    /// Differences of indices along the axes.
+    /// Steps of the index along the axes.
     strides: [usize; 3],
     world_from_grid: Affine3A,
     /// `world_from_grid` without its translation.
     linear: Mat3,
     /// The inverse of `linear`.
     grid_from_linear: Mat3,
-    /// From a gradient per voxel to one per mm.
+    /// From a gradient per voxel to one per mm, along the world axes.
     per_mm: Mat3,
 }
 
 impl IsoValues {
     /// The values of every voxel, or of every second or fourth of a very large volume. Values that
-    /// are not finite are below the iso-value.
+    /// are not finite count as below the iso-value.
     fn of(volume: &Volume, iso: f64) -> Self {
         let mut stride = 1;
         while volume.size.iter().map(|n| n.div_ceil(stride)).product::<usize>() > MAX_POINTS / 8 {
@@ -64,13 +64,13 @@ impl IsoValues {
         self.values.iter().any(|v| *v < 0.0) && self.values.iter().any(|v| *v >= 0.0)
     }
 
-    /// The grid coordinates of a point by its index.
+    /// The grid coordinates of point `n`.
     fn coordinates(&self, n: usize) -> [usize; 3] {
         let [nx, ny, _] = self.size;
         [n % nx, n / nx % ny, n / (nx * ny)]
     }
 
-    /// The gradient at a point, per mm.
+    /// The gradient at point `n`, whose grid coordinates are `at`, per mm.
     fn gradient(&self, n: usize, at: [usize; 3]) -> Vec3 {
         let d: [f32; 3] = std::array::from_fn(|a| {
             let before = if at[a] > 0 { n - self.strides[a] } else { n };
@@ -84,8 +84,8 @@ impl IsoValues {
         self.per_mm * Vec3::from(d)
     }
 
-    /// The nearest crossing of the grid edges at a point: its distance from the plane through the
-    /// crossing, and its foot on that plane. Infinite if the surface crosses none of them.
+    /// Distance from point `n` to the surface, and the foot, by the tangent plane at the nearest
+    /// crossing of the surface with the point's grid edges. Infinite if it crosses none of them.
     fn nearest_crossing(&self, n: usize) -> (f32, Vec3) {
         let Self {
             values,
@@ -135,12 +135,12 @@ impl IsoValues {
         best
     }
 
-    /// The interpolated value at a position without translation.
+    /// The interpolated value at a position relative to the grid's first point, mm.
     fn value_at(&self, x: Vec3) -> f32 {
         trilinear(&self.values, self.size, self.grid_from_linear * x)
     }
 
-    /// Its gradient, per mm.
+    /// The gradient of the interpolated value there, per mm.
     fn slope_at(&self, x: Vec3) -> Vec3 {
         let g = self.grid_from_linear * x;
         self.per_mm
@@ -150,8 +150,8 @@ impl IsoValues {
             }))
     }
 
-    /// The distance of a point to the interpolated surface, from a foot near it that slides along
-    /// the surface; None if the surface is too flat there.
+    /// The distance of point `n` to the interpolated surface: from `foot`, slides along the surface
+    /// to the nearest point. None if the gradient vanishes on the way.
     fn distance_by_sliding(&self, n: usize, foot: Vec3) -> Option<f32> {
         let here = self.linear * Vec3::from(self.coordinates(n).map(|c| c as f32));
         let mut x = foot;

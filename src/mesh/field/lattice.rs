@@ -1,4 +1,4 @@
-//! The settings of a mesh's field, and the lattice of its points.
+//! The settings of a mesh's field, and the lattice on which it is sampled.
 
 use crate::math::Bounds;
 use glam::{Affine3A, Vec3};

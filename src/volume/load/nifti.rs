@@ -257,12 +257,12 @@ impl Header {
         Ok(image)
     }
 
-    /// Whether this is a warp or a direction map of FSL.
+    /// Whether this is an FSL warp or direction map.
     fn is_fsl(&self) -> bool {
         (2006..=2009).contains(&self.intent())
     }
 
-    /// Numbers of values per voxel and of time points.
+    /// The number of values per voxel and the number of time points.
     fn components_and_frames(&self, dim: &[usize; 7]) -> Result<(usize, usize), String> {
         // Vectors are stored along the fifth axis; those of FSL's warps and directions along the
         // fourth.
@@ -281,7 +281,7 @@ impl Header {
         Ok((components, frames))
     }
 
-    /// Type of a value, and number of values of that type in each: 3 or 4 for colours.
+    /// The stored type, and the number of its values per element: 3 or 4 for colours, else 1.
     fn value_type(&self) -> Result<(ScalarType, usize), String> {
         match self.integer(70, 12, 2) as i16 {
             128 => Ok((ScalarType::U8, 3)),
@@ -296,7 +296,7 @@ impl Header {
         }
     }
 
-    /// The meaning of the values, by the intent.
+    /// The meaning of the values, from the intent code.
     fn meaning(&self, components: usize, scalar: ScalarType) -> Meaning {
         match self.intent() {
             // Floating-point colours are directions.

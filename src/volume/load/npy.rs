@@ -22,7 +22,7 @@ struct Header {
     scalar: ScalarType,
     /// Whether the byte order differs from the machine's.
     swap: bool,
-    /// Extents of the axes, the contiguous one first.
+    /// Extents of the axes, the contiguous axis first.
     extents: Vec<usize>,
 }
 

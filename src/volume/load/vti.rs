@@ -134,7 +134,7 @@ fn grid_size(extent: &[i64; 6], on_cells: bool) -> Option<[usize; 3]> {
     Some(size)
 }
 
-/// World from voxel; the values of cells lie at their centres.
+/// World from voxel; values of cells lie at the cells' centres.
 fn world_from_voxel(document: &VtiDocument, on_cells: bool) -> DAffine3 {
     let corner = DVec3::from_array(std::array::from_fn(|a| {
         document.whole[2 * a] as f64 + if on_cells { 0.5 } else { 0.0 }
@@ -146,8 +146,8 @@ fn world_from_voxel(document: &VtiDocument, on_cells: bool) -> DAffine3 {
     }
 }
 
-/// Index of the first voxel of a piece of size `part` in the whole grid; none if the piece lies
-/// outside of it.
+/// Index in the whole grid of the first voxel of a piece of size `part`; none if the piece is not
+/// inside the grid.
 fn first_voxel(
     extent: &[i64; 6],
     whole: &[i64; 6],

@@ -87,7 +87,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 
 /// The header up to the first array of values.
 struct Header {
-    /// Whether values are binary, instead of text.
+    /// Whether values are binary rather than text.
     binary: bool,
     /// Number of points along the axes, if given.
     size: Option<[usize; 3]>,
@@ -144,7 +144,7 @@ fn header(path: &Path, reader: &mut impl BufRead) -> Result<(Header, Option<Valu
     Ok((header, None))
 }
 
-/// A line without the white space around it; none at the end of the file.
+/// A line without surrounding white space; none at the end of the file.
 fn line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
     let mut bytes = Vec::new();
     let read = reader
@@ -155,8 +155,8 @@ fn line(path: &Path, reader: &mut impl BufRead) -> Result<Option<String>> {
 }
 
 impl Header {
-    /// Applies a line that states the type of data, the geometry, or the owner of the following
-    /// arrays; ignores other lines.
+    /// Applies a line that states the type of data, the geometry, or whether the arrays that follow
+    /// belong to points or cells; ignores other lines.
     fn apply(&mut self, text: &str) -> Result<(), String> {
         let words: Vec<&str> = text.split_whitespace().collect();
         let three = || -> Option<[f64; 3]> {
@@ -202,7 +202,7 @@ impl Header {
     }
 }
 
-/// The array of values that a line declares, if any; leaves the reader at its values.
+/// The array that a line declares, if any; leaves the reader at its values.
 fn value_array(
     path: &Path,
     reader: &mut impl BufRead,

@@ -1,4 +1,4 @@
-//! Lines of a brush: its positions along them, and the distance to them.
+//! Brush strokes as polylines: positions of the brush along them, and distances to them.
 
 use glam::Vec3;
 

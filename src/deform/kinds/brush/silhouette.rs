@@ -1,4 +1,4 @@
-//! Distances to the outline of a lasso.
+//! Distances to a lasso's outline, sampled on a grid.
 
 use crate::deform::kinds::outline::Outline;
 use crate::math::trilinear;

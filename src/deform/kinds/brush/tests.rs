@@ -1,4 +1,4 @@
-//! Brush strokes: what they move, cut, restore and refuse.
+//! Tests of brush strokes: what they move, cut, restore and reject.
 
 use super::super::Sampling;
 use super::*;

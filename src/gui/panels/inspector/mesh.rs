@@ -1,4 +1,4 @@
-//! The look and place of a mesh.
+//! The appearance and placement of a mesh.
 
 use super::rows::{name, three};
 use crate::gui::panels::{heading, icon_button};
@@ -41,7 +41,7 @@ pub(super) fn show_mesh(ui: &mut Ui, doc: &Document, n: usize, requests: &mut Re
     }
 }
 
-/// The preset and the colours; `general` is the appearance of all meshes of the scene.
+/// The preset and the colours; `general` is the scene's default appearance of meshes.
 fn show_look(ui: &mut Ui, appearance: &mut Appearance, general: &Appearance) {
     let look: Option<Look> = appearance.resolve(general).ok();
     ui.horizontal(|ui| {
@@ -78,7 +78,7 @@ fn show_look(ui: &mut Ui, appearance: &mut Appearance, general: &Appearance) {
     }
 }
 
-/// What fills the mesh where it is cut.
+/// Whether cuts show the mesh as hollow, as a thick wall, or as solid.
 fn show_interior(ui: &mut Ui, appearance: &mut Appearance) {
     ui.horizontal(|ui| {
         ui.label("Interior");

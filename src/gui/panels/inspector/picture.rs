@@ -30,7 +30,7 @@ pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut 
     }
 }
 
-/// A slider with its name and a tip.
+/// A slider with a label and a tooltip.
 fn slider(ui: &mut Ui, v: &mut f32, range: RangeInclusive<f32>, word: &str, tip: &str) {
     ui.add(
         Slider::new(v, range)

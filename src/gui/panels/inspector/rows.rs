@@ -1,4 +1,4 @@
-//! Rows that the properties are made of: names, numbers, choices.
+//! Rows of the inspector: names, numbers, choices.
 
 use eframe::egui::{self, DragValue, Ui};
 
@@ -36,7 +36,7 @@ pub(super) fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str
     changed
 }
 
-/// A labelled list of values to choose from.
+/// A labelled drop-down list of values.
 pub(super) fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T, all: &[(T, &str)]) {
     ui.horizontal(|ui| {
         ui.label(word);

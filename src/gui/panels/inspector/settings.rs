@@ -110,7 +110,7 @@ pub(super) fn setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &
     }
 }
 
-/// A setting as a text field; invalid text stays in it, with the reason below.
+/// A setting as a text field. Invalid text stays in the field, with the problem below it.
 fn text_setting(ui: &mut Ui, d: &mut Deformation, place: usize, setting: &Setting, folder: &Path) {
     let key = setting.name;
     let id = ui.id().with(("setting", place, &d.kind, key));

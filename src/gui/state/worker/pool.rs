@@ -1,4 +1,4 @@
-//! The thread pool of background work.
+//! The thread pool for background work.
 
 /// A thread pool for work that must not slow down the interface: all cores but one.
 pub fn quiet_pool() -> Option<rayon::ThreadPool> {

@@ -1,4 +1,4 @@
-//! Picking the point under the pointer, on a thread of its own.
+//! Picks the point under the pointer, on a thread of its own.
 
 use super::pool::quiet_pool;
 use crate::cpu::pick::{self, Pick};

@@ -238,7 +238,7 @@ fn damaged(source: &ObjectLocation, problem: &str) -> Error {
     )
 }
 
-/// The transfer syntax of an object, and its elements before the pixels.
+/// The transfer syntax of an object, and its elements before the pixel data.
 pub fn header(source: &ObjectLocation) -> Result<(String, InMemDicomObject)> {
     check_lengths(open(source, MAX_HEADER_BYTES)?).map_err(|e| damaged(source, &e))?;
     let opened = open(source, MAX_HEADER_BYTES)?;

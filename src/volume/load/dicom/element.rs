@@ -34,7 +34,7 @@ pub fn item(set: &InMemDicomObject, tag: Tag) -> Option<&InMemDicomObject> {
     set.get(tag)?.items()?.first()
 }
 
-/// An element as a whole number of 16 bits.
+/// The first number of an element as an unsigned 16-bit integer; none if it is out of range.
 pub fn whole_number(set: &InMemDicomObject, tag: Tag) -> Option<u16> {
     number(set, tag)
         .filter(|n| (0.0..=65_535.0).contains(n))

@@ -63,8 +63,8 @@ pub struct Frame {
     pub order: [f64; 5],
 }
 
-/// The attributes of one frame: those of its own functional groups, of the shared ones, and of the
-/// object.
+/// Where the attributes of one frame are found: its own functional groups, the shared ones, the
+/// detector, and the object.
 struct FrameAttributes<'a> {
     own: Option<&'a InMemDicomObject>,
     shared: Option<&'a InMemDicomObject>,
@@ -85,7 +85,8 @@ impl<'a> FrameAttributes<'a> {
         self.group(tag).unwrap_or(self.object)
     }
 
-    /// Numbers of an attribute of a group, or of the detector if the group lacks it.
+    /// The numbers of an attribute in a group or the object; if it is missing there, in the
+    /// detector.
     fn stated<const N: usize>(&self, tag: Tag, attribute: Tag) -> Option<[f64; N]> {
         let group = self.group_or_object(tag);
         let holder = group.get(attribute).is_some().then_some(group).or(self.detector);
@@ -130,7 +131,7 @@ impl<'a> FrameAttributes<'a> {
         Some(Rescale { slope, intercept })
     }
 
-    /// Keys that distinguish frame `n` from others at the same position, in order.
+    /// Sort keys of frame `n` among frames at the same position, most significant first.
     fn order(&self, n: usize) -> [f64; 5] {
         let (set, content) = (self.object, self.group(tags::FRAME_CONTENT_SEQUENCE));
         [

@@ -81,7 +81,7 @@ fn is_packed(object: &Object) -> bool {
 struct PixelElement {
     /// Offsets of compressed frames; none before the first item has been read.
     table: Option<Vec<u32>>,
-    /// Bytes in order: one fragment if they are uncompressed.
+    /// The bytes in order; a single fragment if they are uncompressed.
     fragments: Vec<Vec<u8>>,
 }
 
@@ -102,7 +102,7 @@ impl PixelElement {
     }
 }
 
-/// Reads the pixel data element of an object, of which at most `most` bytes are unpacked.
+/// Reads the pixel data element of an object; `most` limits the unpacked size of a deflated one.
 fn pixel_element(object: &Object, most: u64, packed: bool) -> Result<PixelElement> {
     let path = object.source.path();
     let damaged = |e: String| damaged(path, &e);

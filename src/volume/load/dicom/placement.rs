@@ -1,4 +1,4 @@
-//! The placement of slices in space: the grid that fits them best, and how far they are from it.
+//! The placement of slices in space: the grid that fits them best, and their distance from it.
 
 use super::frames::Frame;
 use super::scan::Object;
@@ -25,14 +25,15 @@ pub struct SlicePlacement {
 struct SliceSpacing {
     /// From each slice to the next.
     gaps: Vec<f64>,
-    /// Mean spacing, that of the even grid.
+    /// Mean spacing, which is that of the even grid.
     mean: f64,
     /// Largest deviation of a slice from the even grid.
     off: f64,
 }
 
 impl SliceSpacing {
-    /// Spacing of slices at `along`, positions in steps of `mean` from the first slice.
+    /// `along` holds the slices' positions along the normal, in steps of `mean` from the first
+    /// slice.
     fn new(along: &[f64], mean: f64) -> Self {
         let gaps = along.windows(2).map(|w| (w[1] - w[0]) * mean).collect();
         let off = along
@@ -50,7 +51,7 @@ impl SliceSpacing {
             .any(|g| (g - self.mean).abs() > UNEVEN[0].max(UNEVEN[1] * self.mean))
     }
 
-    /// The warning about uneven spacing: missing slices if all gaps are integer numbers of steps,
+    /// The warning about uneven spacing: missing slices if all gaps are multiples of the usual one,
     /// else the range of the spacing.
     fn warning(&self, frames: &[&Frame], resample: bool) -> String {
         let gaps = &self.gaps;
@@ -128,7 +129,7 @@ fn warn_of_unstated(frame: &Frame, warnings: &mut Vec<String>) {
     }
 }
 
-/// From one slice of the even grid to the next, mm.
+/// Vector from one slice of the even grid to the next, mm.
 fn slice_step(frames: &[&Frame], object: &Object) -> DVec3 {
     let (first, last) = (frames[0], frames[frames.len() - 1]);
     let n = frames.len();
@@ -155,7 +156,7 @@ fn slice_step(frames: &[&Frame], object: &Object) -> DVec3 {
     step
 }
 
-/// The placement of sorted slices, one frame each. Adds warnings about what is unstated or uneven.
+/// The placement of sorted slices, one frame each. Warns of geometry that is unstated or uneven.
 pub fn placement(
     frames: &[&Frame],
     object: &Object,

@@ -134,7 +134,7 @@ fn object(source: ObjectLocation) -> Result<Option<Object>> {
     .ok_or_else(ended)?
 }
 
-/// The storage of an object's pixels; none if it contains none.
+/// The storage of an object's pixels; none if it has no pixels.
 fn pixel_format(set: &InMemDicomObject) -> Option<PixelFormat> {
     let whole = |tag: Tag| whole_number(set, tag);
     let (rows, columns) = (whole(tags::ROWS)?, whole(tags::COLUMNS)?);
@@ -154,7 +154,7 @@ fn pixel_format(set: &InMemDicomObject) -> Option<PixelFormat> {
     })
 }
 
-/// Rejects sizes and numbers of bits that cannot be read.
+/// Rejects picture sizes and bit depths that cannot be read.
 fn check_format(format: &PixelFormat) -> Result<(), String> {
     let PixelFormat {
         rows,
@@ -230,7 +230,7 @@ fn slice_spacing(set: &InMemDicomObject) -> Option<f64> {
     spacing.map(f64::abs).filter(|s| *s > 0.0)
 }
 
-/// The meaning of pixels in a segmentation of a given class.
+/// What the pixels of a segmentation mean, given its SOP class.
 fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
     match text(set, tags::SEGMENTATION_TYPE).as_str() {
         "LABELMAP" => SegmentsAs::Labels,
@@ -240,7 +240,7 @@ fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
     }
 }
 
-/// The content of a header; none if it describes no pixels.
+/// The object that a header describes; none if it has no pixels.
 fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
     let Some(format) = pixel_format(set) else {
         return Ok(None);

@@ -1,5 +1,5 @@
-//! The series among DICOM objects: frames grouped by their common attributes, sorted by position,
-//! and divided into time points.
+//! Groups the frames of DICOM objects into series by their common attributes, sorts them by
+//! position, and divides them into time points.
 
 use super::frames::Frame;
 use super::scan::Object;
@@ -22,7 +22,7 @@ pub struct DicomSeries {
     pub duplicates: usize,
 }
 
-/// A series for messages: its modality, number, description and number of slices.
+/// Describes a series in messages: its modality, number, description and number of slices.
 pub fn named(series: &DicomSeries, objects: &[Object]) -> String {
     let object = &objects[series.object];
     let number = object

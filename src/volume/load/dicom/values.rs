@@ -41,7 +41,7 @@ impl DecodeJob<'_> {
         &self.object().format
     }
 
-    /// Whether all frames have the same rescale.
+    /// Whether all frames have the same rescale slope and intercept.
     pub fn one_rescale(&self) -> bool {
         self.frames.iter().all(|f| f.rescale == self.frames[0].rescale)
     }

@@ -19,7 +19,8 @@ use std::path::Path;
 /// Maximum factor by which resampling may increase the number of slices.
 const MAX_RESAMPLING_FACTOR: f64 = 16.0;
 
-/// One frame per slice, and the slice of each frame: several frames of a segmentation share one.
+/// The first frame of each slice, and the slice index of each frame; several frames of a
+/// segmentation share a slice.
 fn slices(frames: &[Frame], segmentation: bool) -> (Vec<&Frame>, Vec<usize>) {
     let mut slices: Vec<&Frame> = Vec::new();
     let mut slot: Vec<usize> = Vec::with_capacity(frames.len());

@@ -35,7 +35,7 @@ pub(super) fn geometry(
     Ok((affine, lps_from_space * measurement_frame(fields)?))
 }
 
-/// World (LPS, mm) from the space of the file, by its name and units.
+/// World (LPS, mm) from the space of the file, given by `space` and `space units`.
 fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) -> DMat3 {
     let space = fields.get("space").map(|s| s.to_ascii_lowercase());
     let signs = match space.as_deref() {
@@ -96,8 +96,8 @@ fn oriented_axes(directions: &str, spatial: &[usize]) -> Result<DMat3, String> {
     Ok(linear)
 }
 
-/// The steps between voxels by `axis mins` and `axis maxs` (1 without them or with `spacings`), and
-/// the first voxel's position by `axis mins`, mm.
+/// The steps between voxels from `axis mins` and `axis maxs` (1 without them or with `spacings`),
+/// and the first voxel's position from `axis mins`, mm.
 fn spans_of_axes(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3, DVec3) {
     let (mut linear, mut origin) = (DMat3::IDENTITY, DVec3::ZERO);
     let numbers = |name: &str| {
@@ -148,7 +148,7 @@ fn spans_of_axes(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3,
     (linear, origin)
 }
 
-/// Multiplies the axes by `spacings`, if given, in mm.
+/// Multiplies the axes by `spacings`, if given, converted to mm.
 fn scale_by_spacings(
     linear: &mut DMat3,
     fields: &HashMap<String, String>,
@@ -173,7 +173,7 @@ fn scale_by_spacings(
     Ok(())
 }
 
-/// The axes of the vectors in the space of the file.
+/// The axes of vector values in the space of the file, from `measurement frame`.
 fn measurement_frame(fields: &HashMap<String, String>) -> Result<DMat3, String> {
     match fields.get("measurement frame") {
         Some(text) => {
@@ -189,7 +189,7 @@ fn measurement_frame(fields: &HashMap<String, String>) -> Result<DMat3, String> 
     }
 }
 
-/// Millimetres per unit along an axis, by `units`; 1 if it is not a unit of length.
+/// Millimetres per unit along an axis, from `units`; 1 if it is not a unit of length.
 fn unit_mm(fields: &HashMap<String, String>, axis: usize) -> f64 {
     fields
         .get("units")

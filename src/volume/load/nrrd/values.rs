@@ -40,7 +40,7 @@ pub(super) struct Data<'a> {
 }
 
 impl<'a> Data<'a> {
-    /// The storage of `whole` values, from the header.
+    /// How `whole` values are stored, from the header.
     pub fn new(
         path: &'a Path,
         fields: &HashMap<String, String>,

@@ -31,7 +31,7 @@ pub(super) struct Blocks<R> {
 }
 
 impl<R: Read> Blocks<R> {
-    /// Blocks of `size` unpacked bytes; `packed` holds the length of each in the reader, bytes.
+    /// Blocks of `size` unpacked bytes; `packed` holds the compressed length of each, bytes.
     pub fn new(reader: R, packed: Vec<u64>, size: usize, packing: Compression) -> Self {
         Self {
             reader,
