@@ -309,7 +309,7 @@ fn run_check(arguments: &CheckArguments) -> Result<()> {
         picture,
         to_standard_output,
     } = CheckOutputs::open(arguments)?;
-    let (examined, warnings) = checked_field(arguments)?;
+    let (examined, warnings) = field_to_check(arguments)?;
     let health = examined.health(!arguments.no_inverse);
     if let Some(file) = csv {
         file.finish(examined.csv().as_bytes())?;
@@ -392,7 +392,7 @@ impl CheckOutputs {
 }
 
 /// The field that a file describes, and the warnings from reading it.
-fn checked_field(arguments: &CheckArguments) -> Result<(CheckedField, Vec<String>)> {
+fn field_to_check(arguments: &CheckArguments) -> Result<(CheckedField, Vec<String>)> {
     match saved_map(&arguments.file)? {
         Some(map) => Ok((CheckedField::of_map(&map), Vec::new())),
         None => {

@@ -86,7 +86,7 @@ pub fn run(
             }
             if let Some(step) = plan.reference {
                 for mode in [Mode::Raycast, Mode::Surface] {
-                    sweep.judge(first, &plan.at(mode, step, size, camera))?;
+                    sweep.measure_errors(first, &plan.at(mode, step, size, camera))?;
                 }
             }
         }
@@ -171,13 +171,13 @@ impl Sweep<'_> {
 
     /// Renders a reference, and sets the error of every run from index `first` on that shows the
     /// same content (volume or surface). Renders no reference if there are no such runs.
-    fn judge(&mut self, first: usize, scene: &Scene) -> Result<()> {
+    fn measure_errors(&mut self, first: usize, scene: &Scene) -> Result<()> {
         let RenderSettings { mode, step, size, .. } = scene.render;
-        let is_judged = |run: &Run| !run.is_reference && run.shown.surface == (mode == Mode::Surface);
-        let judged: Vec<usize> = (first..self.runs.len())
-            .filter(|n| is_judged(&self.runs[*n]))
+        let is_measured = |run: &Run| !run.is_reference && run.shown.surface == (mode == Mode::Surface);
+        let measured: Vec<usize> = (first..self.runs.len())
+            .filter(|n| is_measured(&self.runs[*n]))
             .collect();
-        if judged.is_empty() {
+        if measured.is_empty() {
             return Ok(());
         }
         let part = self.progress.part("reference", area(size) / step);
@@ -195,7 +195,7 @@ impl Sweep<'_> {
             ..timed_run(&mut Engine::cpu(), scene, self.assets, &name, &request)?
         };
         self.progress.done = part.end;
-        for n in judged {
+        for n in measured {
             self.runs[n].error = Some(difference(&self.runs[n].picture, &reference.picture)?);
         }
         self.runs.push(reference);

@@ -19,7 +19,7 @@ pub use svg::escaped;
 
 use axis::{Span, is_shown};
 use std::fmt::Write;
-use svg::{BOTTOM, COLORS, LEFT, RIGHT, TOP, WIDTH, dash, dot, opening};
+use svg::{BOTTOM, COLORS, LEFT, RIGHT, TOP, WIDTH, dash, dot, opening_tag};
 
 /// Height of a plot of curves.
 const HEIGHT: f64 = 330.0;
@@ -116,7 +116,7 @@ impl PlotSpans {
 pub fn curves(title: &str, x: &PlotAxis, y: &PlotAxis, series: &[PlotSeries], mark: Option<f64>) -> String {
     let mark = mark.filter(|m| is_shown(*m));
     let spans = PlotSpans::around(series, mark);
-    let mut svg = opening(title, HEIGHT);
+    let mut svg = opening_tag(title, HEIGHT);
     write_axes(&mut svg, &spans, x, y);
     if let Some(m) = mark {
         let _ = write!(

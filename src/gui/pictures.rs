@@ -127,7 +127,7 @@ impl Workstation {
     }
 
     /// Requests the point under a position of the view.
-    pub fn ask(&mut self, at: [f32; 2], purpose: ProbePurpose) {
+    pub fn probe(&mut self, at: [f32; 2], purpose: ProbePurpose) {
         let Some(picture) = &self.view.picture else { return };
         let PictureRequest { scene, assets, .. } = picture.of.clone();
         // A stroke is drawn on the scene as it was when the stroke began.

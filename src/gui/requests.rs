@@ -53,7 +53,7 @@ impl Workstation {
             Request::SetGesture(gesture) => self.gesture = gesture,
             Request::SetTool(tool) => self.tool = tool,
             Request::SetHover(hover) => self.hover = hover,
-            Request::Probe(at, purpose) => self.ask(at, purpose),
+            Request::Probe(at, purpose) => self.probe(at, purpose),
             Request::Slice(pane, plane, style) => self.request_slice(pane, plane, style),
             Request::ClickSlice { at, n, source } => self.click_slice(at, n, source),
             Request::BeginStroke => self.begin_stroke(),

@@ -97,7 +97,7 @@ impl ValueBoundsCache {
         );
         let visible = context.scratch(
             "visible entries",
-            bytemuck::cast_slice(&visible_entries(contents.table)),
+            bytemuck::cast_slice(&visible_entry_sums(contents.table)),
             BufferUsages::STORAGE,
         );
         let bytes = u64::from(cells.size.element_product()) * 4;
@@ -164,7 +164,7 @@ fn joined_map_bounds(
 }
 
 /// Running count of a table's visible entries: before each entry, and in total.
-fn visible_entries(table: &TransferTable) -> Vec<u32> {
+fn visible_entry_sums(table: &TransferTable) -> Vec<u32> {
     let mut visible = Vec::with_capacity(TABLE_ENTRIES + 1);
     visible.push(0u32);
     for entry in table.entries.iter().take(TABLE_ENTRIES) {

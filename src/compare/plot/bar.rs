@@ -1,7 +1,7 @@
 //! Stacked bars on a linear axis.
 
 use super::axis::{linear_ticks, number, tick_label};
-use super::svg::{BOTTOM, CHARACTER, COLORS, RIGHT, TOP, WIDTH, escaped, opening};
+use super::svg::{BOTTOM, CHARACTER, COLORS, RIGHT, TOP, WIDTH, escaped, opening_tag};
 use std::fmt::Write;
 
 /// Height of a bar with the gap below it.
@@ -106,7 +106,7 @@ pub fn bars(title: &str, label: &str, parts: &[&str], bars: &[Bar]) -> String {
         scale,
         ..
     } = layout;
-    let mut svg = opening(title, height);
+    let mut svg = opening_tag(title, height);
     for value in linear_ticks(longest) {
         let px = left + value * scale;
         let _ = write!(

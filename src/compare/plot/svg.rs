@@ -13,7 +13,7 @@ pub(super) const CHARACTER: f64 = 6.3;
 pub(super) const COLORS: usize = 10;
 
 /// The opening tag of a plot of this height, and its title.
-pub(super) fn opening(title: &str, height: f64) -> String {
+pub(super) fn opening_tag(title: &str, height: f64) -> String {
     let title = escaped(title);
     format!(
         "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {height:.0}\" role=\"img\" aria-label=\"{title}\">\

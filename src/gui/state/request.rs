@@ -121,7 +121,7 @@ impl Requests {
     }
 
     /// Requests the point under a position of the 3D view.
-    pub fn ask(&mut self, at: [f32; 2], purpose: ProbePurpose) {
+    pub fn probe(&mut self, at: [f32; 2], purpose: ProbePurpose) {
         self.0.push(Request::Probe(at, purpose));
     }
 

@@ -192,7 +192,7 @@ struct Queue {
     closed: bool,
     backend: Backend,
     /// The device must be given up before the next picture.
-    lose: bool,
+    lose_device: bool,
 }
 
 #[derive(Default)]
@@ -295,7 +295,7 @@ impl Worker {
 
     /// Gives up the GPU: the next picture finds its device lost, and reopens it.
     pub fn lose_device(&self) {
-        lock(&self.shared.queue).lose = true;
+        lock(&self.shared.queue).lose_device = true;
     }
 }
 
@@ -323,7 +323,7 @@ struct StartedJob {
     cancel: Arc<AtomicBool>,
     backend: Backend,
     /// Whether to give up the device first.
-    lose: bool,
+    lose_device: bool,
 }
 
 /// Waits for a job and takes the most urgent one; none once the queue is closed.
@@ -341,12 +341,12 @@ fn next_job(shared: &WorkerState) -> Option<StartedJob> {
                 cancel: cancel.clone(),
                 dropped: false,
             });
-            let lose = std::mem::take(&mut queue.lose);
+            let lose_device = std::mem::take(&mut queue.lose_device);
             return Some(StartedJob {
                 job,
                 cancel,
                 backend: queue.backend,
-                lose,
+                lose_device,
             });
         }
         queue = shared.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
@@ -369,11 +369,11 @@ fn run(
         job,
         cancel,
         backend,
-        lose,
+        lose_device,
     }) = next_job(shared)
     {
         shared.progress.store(0, Ordering::Relaxed);
-        if let (true, Ok(engine)) = (lose, renderer.engine(backend)) {
+        if let (true, Ok(engine)) = (lose_device, renderer.engine(backend)) {
             engine.lose_device();
         }
         let start = Instant::now();

@@ -115,7 +115,7 @@ impl View3d {
         }
         if response.double_clicked() && state.tool == Tool::Navigate && hot.is_none() {
             if let Some(pos) = pos {
-                requests.ask(projector.at(pos), ProbePurpose::Center);
+                requests.probe(projector.at(pos), ProbePurpose::Center);
             }
             return;
         }
@@ -157,7 +157,7 @@ impl View3d {
             requests.0.push(Request::SetGesture(None));
             match gesture {
                 Some(Gesture::Lasso) => requests.0.push(Request::FinishLasso),
-                Some(Gesture::Brush) => requests.ask(projector.at(pos), ProbePurpose::Brush { last: true }),
+                Some(Gesture::Brush) => requests.probe(projector.at(pos), ProbePurpose::Brush { last: true }),
                 _ => {}
             }
         }
@@ -219,7 +219,7 @@ impl View3d {
                 self.lasso.push(pos)
             }
             Some(Gesture::Brush) if delta.length() > 0.0 && state.prober.open < 2 => {
-                requests.ask(projector.at(pos), ProbePurpose::Brush { last: false });
+                requests.probe(projector.at(pos), ProbePurpose::Brush { last: false });
             }
             _ => {}
         }
@@ -258,7 +258,7 @@ impl View3d {
             }
             if state.tool.brush().is_some() {
                 requests.0.push(Request::BeginStroke);
-                requests.ask(projector.at(origin), ProbePurpose::Brush { last: false });
+                requests.probe(projector.at(origin), ProbePurpose::Brush { last: false });
                 return Some(Gesture::Brush);
             }
         }
@@ -290,7 +290,7 @@ impl View3d {
         let requested = (at, self.pictures);
         if self.hover_requested != Some(requested) {
             self.hover_requested = Some(requested);
-            requests.ask(at, ProbePurpose::Hover);
+            requests.probe(at, ProbePurpose::Hover);
         }
     }
 
@@ -424,7 +424,7 @@ fn drop_on_view(response: &Response, projector: &Projector, requests: &mut Reque
         && let Some(pos) = response.ctx.pointer_latest_pos()
     {
         requests.0.push(Request::SetTool(Tool::Place(*kind)));
-        requests.ask(projector.at(pos), ProbePurpose::Tool);
+        requests.probe(projector.at(pos), ProbePurpose::Tool);
     }
 }
 
@@ -445,15 +445,15 @@ fn click(
                 .and_then(|d| d.scene.deformation.get(d.deformation_index()?))
                 .is_some_and(|d| d.kind == "points");
             if modifiers.command && points {
-                requests.ask(projector.at(pos), ProbePurpose::Tool);
+                requests.probe(projector.at(pos), ProbePurpose::Tool);
             }
         }
         Tool::LassoCut | Tool::LassoRestore => {}
         _ if state.tool.brush().is_some() => {
             requests.0.push(Request::BeginStroke);
-            requests.ask(projector.at(pos), ProbePurpose::Brush { last: true });
+            requests.probe(projector.at(pos), ProbePurpose::Brush { last: true });
         }
-        _ => requests.ask(projector.at(pos), ProbePurpose::Tool),
+        _ => requests.probe(projector.at(pos), ProbePurpose::Tool),
     }
 }
 

@@ -141,7 +141,7 @@ impl IsoValues {
     }
 
     /// The gradient of the interpolated value there, per mm.
-    fn slope_at(&self, x: Vec3) -> Vec3 {
+    fn gradient_at(&self, x: Vec3) -> Vec3 {
         let g = self.grid_from_linear * x;
         self.per_mm
             * Vec3::from(Vec3::AXES.map(|e| {
@@ -156,14 +156,14 @@ impl IsoValues {
         let here = self.linear * Vec3::from(self.coordinates(n).map(|c| c as f32));
         let mut x = foot;
         for _ in 0..SLIDES {
-            let g = self.slope_at(x);
+            let g = self.gradient_at(x);
             let steep = g.length_squared();
             if steep < 1e-20 {
                 return None;
             }
             let along = here - x;
             x += along - g * (along.dot(g) / steep);
-            let g = self.slope_at(x);
+            let g = self.gradient_at(x);
             x -= g * (self.value_at(x) / g.length_squared().max(1e-20));
         }
         Some(x.distance(here))

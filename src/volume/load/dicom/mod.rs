@@ -26,7 +26,7 @@ use super::image::Image;
 use crate::{Error, Result, Watch};
 use scan::{Object, ScanResult, scan};
 use serde_json::json;
-use series::{DicomSeries, chosen, named, places, series};
+use series::{DicomSeries, chosen, described, places, series};
 use std::path::Path;
 use syntax::syntax_name;
 use volume::volume;
@@ -144,7 +144,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         warnings.push(format!(
             "holds {} series; the largest is used ({}); --series chooses another, and info lists them",
             all.len(),
-            named(series, &found.objects)
+            described(series, &found.objects)
         ));
     }
     warnings.extend(found.notes.iter().cloned());

@@ -66,7 +66,7 @@ pub fn check_syntax(object: &Object) -> Result<()> {
 }
 
 /// Whether the pixels of an object are compressed.
-fn is_packed(object: &Object) -> bool {
+fn is_compressed(object: &Object) -> bool {
     let uid = object.syntax.as_str();
     JPEG.contains(&uid)
         || JPEG_2000.contains(&uid)
@@ -103,7 +103,7 @@ impl PixelElement {
 }
 
 /// Reads the pixel data element of an object; `most` limits the unpacked size of a deflated one.
-fn pixel_element(object: &Object, most: u64, packed: bool) -> Result<PixelElement> {
+fn pixel_element(object: &Object, most: u64, compressed: bool) -> Result<PixelElement> {
     let path = object.source.path();
     let damaged = |e: String| damaged(path, &e);
     let (mut tokens, end) = open(&object.source, most)?
@@ -115,7 +115,7 @@ fn pixel_element(object: &Object, most: u64, packed: bool) -> Result<PixelElemen
         // Data after the pixels may be truncated.
         let token = match token {
             Ok(token) => token,
-            Err(_) if !element.fragments.is_empty() && !packed => break,
+            Err(_) if !element.fragments.is_empty() && !compressed => break,
             Err(e) => return Err(damaged(one_line(&e))),
         };
         let here = |len: u32, at: u64| {
@@ -193,12 +193,12 @@ pub fn read(object: &Object) -> Result<Pixels> {
             .ok_or_else(ended)?;
         return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
     }
-    let packed = is_packed(object);
+    let compressed = is_compressed(object);
     // A deflated object is unpacked up to the end of its pixels.
     let most = (native_bytes as u64).saturating_add(64 << 20);
     let PixelElement { table, mut fragments } =
-        catch_panic(|| pixel_element(object, most, packed)).ok_or_else(ended)??;
-    if !packed {
+        catch_panic(|| pixel_element(object, most, compressed)).ok_or_else(ended)??;
+    if !compressed {
         let big = TransferSyntaxRegistry
             .get(&object.syntax)
             .is_some_and(|s| s.endianness() == Endianness::Big);
@@ -330,8 +330,8 @@ pub fn decode<T: Pixel>(
             )
         }
         Pixels::Packed(frames) => {
-            let packed = frames.get(frame.number).map_or(&[][..], Vec::as_slice);
-            (Cow::Owned(unpacked(object, packed)?), false)
+            let compressed = frames.get(frame.number).map_or(&[][..], Vec::as_slice);
+            (Cow::Owned(unpacked(object, compressed)?), false)
         }
     };
     let (bits, signed, shift) = (
@@ -378,7 +378,7 @@ pub fn decode<T: Pixel>(
 }
 
 /// A compressed frame as native bytes, least significant first, colours interleaved.
-fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
+fn unpacked(object: &Object, compressed: &[u8]) -> Result<Vec<u8>> {
     let format = &object.format;
     let needed = format.frame_bytes();
     let damaged = |e: String| {
@@ -387,10 +387,10 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
             format!("its pixels cannot be decoded ({e}); copy or export it again"),
         )
     };
-    if needed / max_compression_ratio(&object.syntax, needed) as usize > packed.len() {
+    if needed / max_compression_ratio(&object.syntax, needed) as usize > compressed.len() {
         return Err(damaged(format!(
             "{} bytes do not make a picture of {} x {}",
-            packed.len(),
+            compressed.len(),
             format.columns,
             format.rows
         )));
@@ -398,11 +398,11 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
     let uid = object.syntax.as_str();
     let decoded = catch_panic(|| {
         if JPEG.contains(&uid) {
-            jpeg(format, packed)
+            jpeg(format, compressed)
         } else if JPEG_2000.contains(&uid) {
-            jpeg_2000(format, packed)
+            jpeg_2000(format, compressed)
         } else {
-            by_registry(object, packed)
+            by_registry(object, compressed)
         }
     });
     let bytes = decoded.unwrap_or_else(|| Err("they are damaged".into())).map_err(|e| match e.contains("SamplePrecision") {
@@ -422,8 +422,8 @@ fn unpacked(object: &Object, packed: &[u8]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn jpeg(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
-    let mut decoder = jpeg_decoder::Decoder::new(packed);
+fn jpeg(format: &PixelFormat, compressed: &[u8]) -> Result<Vec<u8>, String> {
+    let mut decoder = jpeg_decoder::Decoder::new(compressed);
     if format.samples == 3 {
         // The header takes precedence over the decoder's guess.
         decoder.set_color_transform(if format.photometric.starts_with("YBR") {
@@ -457,16 +457,16 @@ fn jpeg(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     }
 }
 
-fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
+fn jpeg_2000(format: &PixelFormat, compressed: &[u8]) -> Result<Vec<u8>, String> {
     // The size is in the marker after the start of the code stream; without it nothing is
     // allocated.
-    let at = packed
+    let at = compressed
         .windows(4)
         .take(4096)
         .position(|w| w == [0xff, 0x4f, 0xff, 0x51])
         .ok_or("no code stream")?;
     let word = |n: usize| {
-        packed
+        compressed
             .get(at + n..at + n + 4)
             .map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]))
             .ok_or("no code stream")
@@ -481,7 +481,7 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
             format.columns, format.rows
         ));
     }
-    let components = packed
+    let components = compressed
         .get(at + 40..at + 42)
         .map(|b| u16::from_be_bytes([b[0], b[1]]))
         .ok_or("no code stream")?;
@@ -495,7 +495,7 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
         resolve_palette_indices: false,
         ..Default::default()
     };
-    let image = hayro_jpeg2000::Image::new(packed, &settings).map_err(|e| format!("{e:?}"))?;
+    let image = hayro_jpeg2000::Image::new(compressed, &settings).map_err(|e| format!("{e:?}"))?;
     if (image.width(), image.height()) != (width, height) {
         return Err("its headers contradict each other".into());
     }
@@ -516,7 +516,7 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
     let mut bytes = vec![0u8; pixels * samples * width];
     for (c, component) in components.iter().take(samples).enumerate() {
         // The decoder treats every component as unsigned, and shifts it by half its range.
-        let signed = packed.get(at + 42 + 3 * c).is_some_and(|s| s & 0x80 != 0);
+        let signed = compressed.get(at + 42 + 3 * c).is_some_and(|s| s & 0x80 != 0);
         let shift = if signed {
             (1u32 << component.bit_depth().clamp(1, 31).saturating_sub(1)) as f32
         } else {
@@ -534,7 +534,7 @@ fn jpeg_2000(format: &PixelFormat, packed: &[u8]) -> Result<Vec<u8>, String> {
 /// One compressed frame in the form expected by the registry's decoders.
 struct OneFrame<'a> {
     object: &'a Object,
-    packed: &'a [u8],
+    compressed: &'a [u8],
 }
 
 impl PixelDataObject for OneFrame<'_> {
@@ -566,20 +566,20 @@ impl PixelDataObject for OneFrame<'_> {
         Some(1)
     }
     fn fragment(&self, fragment: usize) -> Option<Cow<'_, [u8]>> {
-        (fragment == 0).then_some(Cow::Borrowed(self.packed))
+        (fragment == 0).then_some(Cow::Borrowed(self.compressed))
     }
     fn offset_table(&self) -> Option<Cow<'_, [u32]>> {
         None
     }
     fn raw_pixel_data(&self) -> Option<RawPixelData> {
         Some(RawPixelData {
-            fragments: vec![self.packed.to_vec()].into(),
+            fragments: vec![self.compressed.to_vec()].into(),
             offset_table: Vec::new().into(),
         })
     }
 }
 
-fn by_registry(object: &Object, packed: &[u8]) -> Result<Vec<u8>, String> {
+fn by_registry(object: &Object, compressed: &[u8]) -> Result<Vec<u8>, String> {
     let Some(Codec::EncapsulatedPixelData(Some(decoder), _)) =
         TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec())
     else {
@@ -587,7 +587,7 @@ fn by_registry(object: &Object, packed: &[u8]) -> Result<Vec<u8>, String> {
     };
     let mut bytes = Vec::new();
     decoder
-        .decode_frame(&OneFrame { object, packed }, 0, &mut bytes)
+        .decode_frame(&OneFrame { object, compressed }, 0, &mut bytes)
         .map_err(|e| one_line(&e))?;
     Ok(bytes)
 }

@@ -18,7 +18,7 @@ pub struct SlicePlacement {
     pub even: bool,
     /// Largest deviation of a slice from the even grid, along the normal and perpendicular to it,
     /// mm.
-    pub off_mm: [f64; 2],
+    pub deviation_mm: [f64; 2],
 }
 
 /// The spacing of slices along their normal, mm.
@@ -28,7 +28,7 @@ struct SliceSpacing {
     /// Mean spacing, which is that of the even grid.
     mean: f64,
     /// Largest deviation of a slice from the even grid.
-    off: f64,
+    deviation: f64,
 }
 
 impl SliceSpacing {
@@ -36,12 +36,16 @@ impl SliceSpacing {
     /// slice.
     fn new(along: &[f64], mean: f64) -> Self {
         let gaps = along.windows(2).map(|w| (w[1] - w[0]) * mean).collect();
-        let off = along
+        let deviation = along
             .iter()
             .enumerate()
             .map(|(k, a)| (a - k as f64).abs() * mean)
             .fold(0.0, f64::max);
-        Self { gaps, mean, off }
+        Self {
+            gaps,
+            mean,
+            deviation,
+        }
     }
 
     /// Whether any gap differs from the mean.
@@ -77,9 +81,9 @@ impl SliceSpacing {
         let odd: Vec<usize> = (0..gaps.len())
             .filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual))
             .collect();
-        let (mean, off) = (self.mean, self.off);
+        let (mean, deviation) = (self.mean, self.deviation);
         let instead = format!(
-            "; the mean spacing of {mean:.2} mm is used, which misplaces slices by up to {off:.2} mm"
+            "; the mean spacing of {mean:.2} mm is used, which misplaces slices by up to {deviation:.2} mm"
         );
         format!(
             "slice spacing varies from {:.2} to {:.2} mm (it differs from the usual {usual:.2} mm at {} mm along the normal){}",
@@ -198,8 +202,8 @@ pub fn placement(
         ));
     }
     let matrix3 = DMat3::from_cols(first.along[0] * columns, first.along[1] * rows, step);
-    let off_mm = [
-        if uneven { spacing.off } else { 0.0 },
+    let deviation_mm = [
+        if uneven { spacing.deviation } else { 0.0 },
         if is_aside { aside } else { 0.0 },
     ];
     SlicePlacement {
@@ -209,6 +213,6 @@ pub fn placement(
         },
         at: along,
         even: !uneven,
-        off_mm,
+        deviation_mm,
     }
 }

@@ -129,7 +129,7 @@ fn object(source: ObjectLocation) -> Result<Option<Object>> {
     let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
     catch_panic(|| -> Result<Option<Object>> {
         let (syntax, dataset) = header(&source)?;
-        described(source.clone(), syntax, &dataset)
+        object_of(source.clone(), syntax, &dataset)
     })
     .ok_or_else(ended)?
 }
@@ -241,7 +241,7 @@ fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
 }
 
 /// The object that a header describes; none if it has no pixels.
-fn described(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
+fn object_of(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
     let Some(format) = pixel_format(set) else {
         return Ok(None);
     };

@@ -23,7 +23,7 @@ pub struct DicomSeries {
 }
 
 /// Describes a series in messages: its modality, number, description and number of slices.
-pub fn named(series: &DicomSeries, objects: &[Object]) -> String {
+pub fn described(series: &DicomSeries, objects: &[Object]) -> String {
     let object = &objects[series.object];
     let number = object
         .series_number
@@ -46,7 +46,7 @@ pub fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<u
         all.iter()
             .enumerate()
             .take(MAX_NAMED_POSITIONS)
-            .map(|(n, s)| format!("{}: {}", n + 1, named(s, objects)))
+            .map(|(n, s)| format!("{}: {}", n + 1, described(s, objects)))
             .collect::<Vec<_>>()
             .join("; ")
     };

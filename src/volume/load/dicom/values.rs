@@ -42,7 +42,7 @@ impl DecodeJob<'_> {
     }
 
     /// Whether all frames have the same rescale slope and intercept.
-    pub fn one_rescale(&self) -> bool {
+    pub fn has_one_rescale(&self) -> bool {
         self.frames.iter().all(|f| f.rescale == self.frames[0].rescale)
     }
 
@@ -56,7 +56,7 @@ impl DecodeJob<'_> {
             return Ok((self.colors()?.into(), 3));
         }
         let values: StoredValues = match (format.float, format.allocated, format.signed) {
-            _ if !self.one_rescale() => {
+            _ if !self.has_one_rescale() => {
                 warnings.push("its slices have different rescale slopes or intercepts; values are stored as 32-bit floats".into());
                 self.scaled()?
             }

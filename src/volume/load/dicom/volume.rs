@@ -41,7 +41,7 @@ fn slices(frames: &[Frame], segmentation: bool) -> (Vec<&Frame>, Vec<usize>) {
 
 /// The displacement of slices from the even grid on which they are shown, if there is any.
 fn displacement(placement: &SlicePlacement, components: usize, resampled: bool) -> Option<SliceDisplacement> {
-    let [along, aside] = placement.off_mm;
+    let [along, aside] = placement.deviation_mm;
     let along = if resampled { 0.0 } else { along };
     let by_mm = along.max(aside);
     (by_mm > 0.0).then_some(SliceDisplacement {
@@ -95,16 +95,16 @@ pub fn volume(
         watch,
     };
     let (voxels, components) = job.values(warnings)?;
-    let one_rescale = job.one_rescale();
+    let has_one_rescale = job.has_one_rescale();
     let mut image = Image::new("DICOM", voxels, size, placement.world_from_voxel);
     image.components = components;
-    image.rescale = if one_rescale && components == 1 {
+    image.rescale = if has_one_rescale && components == 1 {
         frames[0].rescale
     } else {
         Rescale::NONE
     };
     image.inverted = format.photometric == "MONOCHROME1";
-    image.padding = object.padding.filter(|_| components == 1 && one_rescale);
+    image.padding = object.padding.filter(|_| components == 1 && has_one_rescale);
     if object.segmentation {
         image.meaning = Meaning::Labels(object.segments.clone());
     } else if components > 1 {

@@ -16,7 +16,7 @@ pub(super) fn geometry(
     let (linear, origin) = match fields.get("space directions") {
         Some(directions) => (oriented_axes(directions, spatial)?, DVec3::ZERO),
         None => {
-            let (mut linear, origin) = spans_of_axes(fields, spatial);
+            let (mut linear, origin) = axis_vectors_and_origin(fields, spatial);
             scale_by_spacings(&mut linear, fields, spatial, axes)?;
             (linear, origin)
         }
@@ -98,7 +98,7 @@ fn oriented_axes(directions: &str, spatial: &[usize]) -> Result<DMat3, String> {
 
 /// The steps between voxels from `axis mins` and `axis maxs` (1 without them or with `spacings`),
 /// and the first voxel's position from `axis mins`, mm.
-fn spans_of_axes(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3, DVec3) {
+fn axis_vectors_and_origin(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3, DVec3) {
     let (mut linear, mut origin) = (DMat3::IDENTITY, DVec3::ZERO);
     let numbers = |name: &str| {
         fields.get(name).map(|t| {
