@@ -12,7 +12,7 @@ const MAX_LENGTH_MM: f64 = 1e7;
 /// Largest angle, degrees: a thousand turns.
 const MAX_ANGLE_DEG: f64 = 3.6e5;
 /// Largest data value.
-const MAX_DATA_VALUE: f64 = 1e30;
+const MAX_VALUE: f64 = 1e30;
 /// Most entries of a list of the scene.
 const MAX_ENTRIES: usize = 100_000;
 /// Longest text, bytes.
@@ -85,7 +85,7 @@ fn walk(path: &str, name: &str, value: &Value) -> Result<()> {
 
 fn number(path: &str, name: &str, value: f64) -> Result<()> {
     let (most, unit) = match name {
-        n if DATA_VALUES.contains(&n) => (MAX_DATA_VALUE, ""),
+        n if DATA_VALUES.contains(&n) => (MAX_VALUE, ""),
         n if ANGLES.contains(&n) => (MAX_ANGLE_DEG, " degrees"),
         "label" => (f64::from(u32::MAX), ""),
         _ => (MAX_LENGTH_MM, ""),
