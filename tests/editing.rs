@@ -356,17 +356,20 @@ pub fn edits_of_surfaces_upload_what_changed() {
             "{name}"
         );
         let prepared = Prepared::new(&scene, &assets).unwrap();
-        let kept = renderer.render(&prepared, false, &Watch::NONE).unwrap().picture;
+        let cached = renderer.render(&prepared, false, &Watch::NONE).unwrap().picture;
         let anew = Renderer::new(Device::open(AdapterPreference::Any).unwrap()).render(
             &Prepared::new(&scene, &scenes::assets(&scene)).unwrap(),
             false,
             &Watch::NONE,
         );
         assert!(
-            kept == anew.unwrap().picture,
-            "{name}: what is kept shows something else"
+            cached == anew.unwrap().picture,
+            "{name}: what is cached shows something else"
         );
-        assert!(kept.pixels.iter().any(|p| p[3] > 0.0), "{name}: an empty picture");
+        assert!(
+            cached.pixels.iter().any(|p| p[3] > 0.0),
+            "{name}: an empty picture"
+        );
     }
 }
 

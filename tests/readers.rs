@@ -113,8 +113,8 @@ pub fn one_phantom_in_every_format() {
             let (i, j, k) = (n % size[0], n / size[0] % size[1], n / size[0] / size[1]);
             assert_eq!(v.value(i, j, k), want, "{name} at {i} {j} {k}");
         }
-        let kept = file["type"].as_str().unwrap_or("i16");
-        assert_eq!(v.voxels.type_name(), kept, "{name}");
+        let stored = file["type"].as_str().unwrap_or("i16");
+        assert_eq!(v.voxels.type_name(), stored, "{name}");
         let want = match file["states"].as_str().unwrap() {
             "all" => whole,
             "axes" => DAffine3 {

@@ -146,10 +146,10 @@ pub(super) fn empty_space_agrees() {
         let clear = |d: u8| d == 255;
         let (mut both, mut more, mut lost, mut clear_in_both, mut also_clear) = (0, 0, 0, 0, 0);
         for (n, (&c, &d)) in a.distance.iter().zip(&b.distance).enumerate() {
-            let (shown, kept) = (a.is_occupied(n), b.is_occupied(n));
-            both += usize::from(shown && kept);
-            more += usize::from(!shown && kept);
-            lost += usize::from(shown && !kept);
+            let (shown, occupied) = (a.is_occupied(n), b.is_occupied(n));
+            both += usize::from(shown && occupied);
+            more += usize::from(!shown && occupied);
+            lost += usize::from(shown && !occupied);
             clear_in_both += usize::from(clear(c) && clear(d));
             also_clear += usize::from(clear(d) && shown && !clear(c));
         }

@@ -21,15 +21,15 @@ struct Screen(Arc<Mutex<HashMap<TextureId, Arc<ColorImage>>>>);
 
 impl egui_kittest::TestRenderer for Screen {
     fn handle_delta(&mut self, delta: &mut egui::TexturesDelta) {
-        let mut kept = self.0.lock().unwrap();
+        let mut images = self.0.lock().unwrap();
         for (id, changes) in std::mem::take(&mut delta.set) {
             for change in changes.into_iter().filter(|c| c.pos.is_none()) {
                 let ImageData::Color(image) = change.image;
-                kept.insert(id, image);
+                images.insert(id, image);
             }
         }
         for id in std::mem::take(&mut delta.free) {
-            kept.remove(&id);
+            images.remove(&id);
         }
     }
 }
@@ -610,8 +610,8 @@ pub fn a_picture_that_fails_keeps_its_letters() {
         Some("A"),
         "the picture is still the one from above"
     );
-    let said = |bench: &mut Bench| bench.app().view.failure().map(str::to_owned);
-    let problem = said(&mut bench).unwrap();
+    let failure = |bench: &mut Bench| bench.app().view.failure().map(str::to_owned);
+    let problem = failure(&mut bench).unwrap();
     assert!(problem.contains("spare"), "{problem}");
     for _ in 0..300 {
         bench.step();
@@ -630,7 +630,7 @@ pub fn a_picture_that_fails_keeps_its_letters() {
         .remove("spare");
     bench.settle();
     assert_eq!(letters_of(&mut bench).as_deref(), Some("S"));
-    assert_eq!(said(&mut bench), None);
+    assert_eq!(failure(&mut bench), None);
 }
 
 /// Without a deformation the source position equals the displayed one exactly, in every view.
