@@ -7,7 +7,7 @@
 //! Automatic saves for recovery after a crash are written every minute and before risky steps
 //! ([`session`](state::session)).
 //!
-//! *Modules*: [`state`] holds the state of the window ([`Workstation`](state::Workstation)); it
+//! *Modules*: [`state`] holds the state of the window ([`Workstation`]); it
 //! depends on no panel and no view. [`app`] starts it and draws each frame. [`views`] are the
 //! pictures, [`gizmos`] the handles on them, [`panels`] everything else: they read the state and
 //! return requests ([`request`](state::request)), which `requests` carries out.
