@@ -246,33 +246,35 @@ impl<T: Voxel> RayMarcher<'_, T> {
     ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
         let cuts = &self.scene.cuts;
         let mut share = f32x8::splat(simd, 1.0);
+        // Copies, since indexing by a variable keeps the indexed structure out of registers.
+        let (mut evaluated_at, mut distance_mm) = (way.cut_distance_t, way.cut_distance_mm);
         // The distance is bounded by how far the ray has moved since; evaluate it only where the
         // bound does not decide.
-        let certain_mm = way.cut_distance_mm.abs() - (t - way.cut_distance_t).abs();
+        let certain_mm = distance_mm.abs() - (t - evaluated_at).abs();
         let unsure = lanes & !certain_mm.simd_gt(rays.step * 0.5);
         for n in lanes_of(unsure.to_bitmask()) {
             let (o, d, t) = (rays.origin.lane(n), rays.direction.lane(n), t[n]);
-            way.cut_distance_t[n] = t;
-            way.cut_distance_mm[n] = cuts.signed_distance_mm(o + d * t);
-            if way.cut_distance_mm[n].abs() <= 0.5 * rays.step[n] {
+            evaluated_at[n] = t;
+            distance_mm[n] = cuts.signed_distance_mm(o + d * t);
+            if distance_mm[n].abs() <= 0.5 * rays.step[n] {
                 let retained = cuts.retained_part(o, d, t, rays.step[n]);
                 share[n] = retained.share;
                 p.set(n, o + d * retained.at);
             }
         }
-        let certain_mm = way.cut_distance_mm.abs() - (t - way.cut_distance_t).abs();
+        let certain_mm = distance_mm.abs() - (t - evaluated_at).abs();
         let whole = certain_mm.simd_gt(rays.step * 0.5);
-        share = (whole & way.cut_distance_mm.simd_lt(0.0)).select(f32x8::splat(simd, 0.0), share);
+        share = (whole & distance_mm.simd_lt(0.0)).select(f32x8::splat(simd, 0.0), share);
         let left = lanes & share.simd_gt(0.0);
-        let mut near_cut = left & !(certain_mm.simd_gt(self.margin_mm) & way.cut_distance_mm.simd_gt(0.0));
+        let mut near_cut = left & !(certain_mm.simd_gt(self.margin_mm) & distance_mm.simd_gt(0.0));
         // Evaluated again where the bound does not decide: a sample must not depend on where the
         // distance was evaluated before.
         for n in lanes_of(near_cut.to_bitmask()) {
-            way.cut_distance_t[n] = t[n];
-            way.cut_distance_mm[n] =
-                cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
-            near_cut.set(n, way.cut_distance_mm[n] <= self.margin_mm);
+            evaluated_at[n] = t[n];
+            distance_mm[n] = cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
+            near_cut.set(n, distance_mm[n] <= self.margin_mm);
         }
+        (way.cut_distance_t, way.cut_distance_mm) = (evaluated_at, distance_mm);
         (left, share, near_cut)
     }
 
@@ -426,25 +428,26 @@ impl<T: Voxel> RayMarcher<'_, T> {
             depth = sample.depth * factor * *share;
             scalar_lanes |= cut;
         }
-        for n in lanes_of((scalar_lanes & *lanes).to_bitmask()) {
-            match self.shade_scalar(
-                sample.lane(n),
-                sample.front[n],
-                deformed.lane(n),
-                rays.direction.lane(n),
-                rays.step[n],
-            ) {
-                ScalarSample::Nothing => visible.set(n, false),
-                ScalarSample::Opaque(color) => {
-                    opaque.set(n, true);
-                    rgb.set(n, color);
-                    depth[n] = f32::INFINITY;
-                    visible.set(n, true);
-                }
-                ScalarSample::Visible(color, of_sample) => {
-                    visible.set(n, true);
-                    rgb.set(n, color);
-                    depth[n] = of_sample * share[n];
+        let scalar_lanes = scalar_lanes & *lanes;
+        if scalar_lanes.any_true() {
+            // Copies, for the same reason as in `retain`.
+            let (sample, deformed, share) = (found.sample, found.deformed, found.share);
+            let (direction, step) = (rays.direction, rays.step);
+            for n in lanes_of(scalar_lanes.to_bitmask()) {
+                let (lane, front) = (sample.lane(n), sample.front[n]);
+                match self.shade_scalar(lane, front, deformed.lane(n), direction.lane(n), step[n]) {
+                    ScalarSample::Nothing => visible.set(n, false),
+                    ScalarSample::Opaque(color) => {
+                        opaque.set(n, true);
+                        rgb.set(n, color);
+                        depth[n] = f32::INFINITY;
+                        visible.set(n, true);
+                    }
+                    ScalarSample::Visible(color, of_sample) => {
+                        visible.set(n, true);
+                        rgb.set(n, color);
+                        depth[n] = of_sample * share[n];
+                    }
                 }
             }
         }
