@@ -269,7 +269,7 @@ pub fn only_like_is_compared_with_like() {
     assert!(report["equal_error"].as_array().unwrap().is_empty() && report["size"].is_null());
     let page = read(&f, "index.html");
     assert!(page.contains("errors at two or more steps are needed") && page.contains("--steps 0.5,1,2"));
-    // Again without references, with the mode set by its own option.
+    // Once more without references, with the mode set by its own option.
     let output = compare(
         folder.path(),
         &[

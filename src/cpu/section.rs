@@ -73,43 +73,16 @@ pub fn sample(
     determinants: bool,
     watch: &Watch,
 ) -> Result<Section> {
+    let request = SectionRequest {
+        deformed,
+        plane,
+        determinants,
+    };
     let section = match &grid.voxels {
-        VoxelGridValues::U8(v) => rows(
-            volume,
-            grid,
-            &VolumeSampler::new(grid, v),
-            deformed,
-            plane,
-            determinants,
-            watch,
-        ),
-        VoxelGridValues::U16(v) => rows(
-            volume,
-            grid,
-            &VolumeSampler::new(grid, v),
-            deformed,
-            plane,
-            determinants,
-            watch,
-        ),
-        VoxelGridValues::I16(v) => rows(
-            volume,
-            grid,
-            &VolumeSampler::new(grid, v),
-            deformed,
-            plane,
-            determinants,
-            watch,
-        ),
-        VoxelGridValues::F32(v) => rows(
-            volume,
-            grid,
-            &VolumeSampler::new(grid, v),
-            deformed,
-            plane,
-            determinants,
-            watch,
-        ),
+        VoxelGridValues::U8(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
+        VoxelGridValues::U16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
+        VoxelGridValues::I16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
+        VoxelGridValues::F32(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
     };
     watch.check()?;
     Ok(section)
@@ -118,15 +91,23 @@ pub fn sample(
 /// One pixel of a section: value, source, mask, determinant.
 type SectionPixel = (f32, Vec3, f32, f32);
 
+/// What a section shows.
+struct SectionRequest<'a> {
+    /// The deformation; none for the source.
+    deformed: Option<StackAndCuts<'a>>,
+    plane: SectionPlane,
+    /// Whether the determinants of the Jacobian are wanted.
+    determinants: bool,
+}
+
 fn rows<T: Voxel>(
     volume: &Volume,
     grid: &VoxelGrid,
     sampler: &VolumeSampler<T>,
-    deformed: Option<StackAndCuts>,
-    plane: SectionPlane,
-    determinants: bool,
+    request: &SectionRequest,
     watch: &Watch,
 ) -> Section {
+    let plane = request.plane;
     let [width, height] = plane.size.map(|n| n as usize);
     let voxel_from_world = to_f32(&volume.world_from_voxel.inverse());
     let top = Vec3::from(grid.size.map(|n| n as f32)) - 0.5;
@@ -142,7 +123,14 @@ fn rows<T: Voxel>(
             }
             for (x, pixel) in row.iter_mut().enumerate() {
                 let p = plane.point(x as f32 + 0.5, y as f32 + 0.5);
-                *pixel = at(sampler, &voxel_from_world, top, deformed, p, determinants);
+                *pixel = at(
+                    sampler,
+                    &voxel_from_world,
+                    top,
+                    request.deformed,
+                    p,
+                    request.determinants,
+                );
                 pixel.0 = pixel.0 * span + volume.range[0] as f32;
             }
         });
@@ -151,7 +139,7 @@ fn rows<T: Voxel>(
         values: pixels.iter().map(|p| p.0).collect(),
         sources: pixels.iter().map(|p| p.1).collect(),
         mask: pixels.iter().map(|p| p.2).collect(),
-        determinants: if determinants {
+        determinants: if request.determinants {
             pixels.iter().map(|p| p.3).collect()
         } else {
             Vec::new()

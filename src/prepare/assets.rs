@@ -74,7 +74,7 @@ pub struct Assets {
     pub(super) objects: ObjectCache,
     /// Maps and proxies derived from the mesh that encloses the volume.
     pub(super) inside_meshes: InsideCache,
-    /// Whether there is a volume, rather than an empty placeholder.
+    /// Whether the scene has a volume; without one, `volume` is empty.
     pub has_volume: bool,
     /// The box around all meshes, mm; empty without any.
     pub mesh_box: Bounds,
@@ -169,7 +169,7 @@ impl Assets {
         }
     }
 
-    /// An empty volume serves as a placeholder.
+    /// Assets of a scene without a volume: an empty one is sampled.
     fn without_volume(folder: PathBuf) -> Self {
         let volume = Volume::empty_over(&Bounds::UNIT);
         let sampled = Arc::new(SampledVolume::new(VoxelGrid::new(&volume)));

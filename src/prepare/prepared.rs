@@ -36,7 +36,7 @@ pub struct Frame {
 
 /// A scene resolved against its assets: its visible objects, their deformation, and the camera.
 pub struct Prepared<'a> {
-    /// Exactly one volume; an empty placeholder if the scene has none.
+    /// Exactly one volume, an empty one if the scene has none.
     pub volumes: Vec<VolumeObject<'a>>,
     /// Surfaces shown with the volumes, or alone.
     pub surfaces: Surfaces,

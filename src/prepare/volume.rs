@@ -36,7 +36,7 @@ pub struct VolumeObject<'a> {
     pub grey_window: [f32; 2],
     /// Empty space.
     pub macrocells: Arc<Macrocells>,
-    /// Whether there is a volume, rather than an empty placeholder.
+    /// Whether the scene has a volume; without one, this one is empty.
     pub(super) is_present: bool,
     /// The smallest and largest value, data units.
     pub(super) value_range: [f64; 2],

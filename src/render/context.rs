@@ -354,19 +354,28 @@ pub(super) fn extent(size: [usize; 3]) -> wgpu::Extent3d {
     }
 }
 
-fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let stages = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
-    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+/// A binding of a uniform buffer.
+pub(super) const UNIFORM: wgpu::BindingType = wgpu::BindingType::Buffer {
+    ty: wgpu::BufferBindingType::Uniform,
+    has_dynamic_offset: false,
+    min_binding_size: None,
+};
+
+/// Makes entries of a layout that these stages of a program see.
+pub(super) fn layout_entries(
+    visibility: wgpu::ShaderStages,
+) -> impl Fn(u32, wgpu::BindingType) -> wgpu::BindGroupLayoutEntry {
+    move |binding, ty| wgpu::BindGroupLayoutEntry {
         binding,
-        visibility: stages,
+        visibility,
         ty,
         count: None,
-    };
-    let uniform = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    };
+    }
+}
+
+fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let stages = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
+    let entry = layout_entries(stages);
     let texture = |sample_type, view_dimension| wgpu::BindingType::Texture {
         sample_type,
         view_dimension,
@@ -374,8 +383,8 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     };
     let filtered = wgpu::TextureSampleType::Float { filterable: true };
     let mut entries = vec![
-        entry(0, uniform),
-        entry(1, uniform),
+        entry(0, UNIFORM),
+        entry(1, UNIFORM),
         entry(2, texture(filtered, wgpu::TextureViewDimension::D3)),
         entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
         entry(
@@ -391,7 +400,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         ),
     ];
     entries.extend([6, 7].map(|n| entry(n, texture(filtered, wgpu::TextureViewDimension::D3))));
-    entries.push(entry(14, uniform));
+    entries.push(entry(14, UNIFORM));
     entries.push(entry(17, texture(filtered, wgpu::TextureViewDimension::D3)));
     entries.push(entry(18, texture(filtered, wgpu::TextureViewDimension::D2)));
     entries.push(entry(19, texture(filtered, wgpu::TextureViewDimension::D3)));

@@ -2,7 +2,7 @@
 //! device.
 
 use super::Renderer;
-use super::context::Context;
+use super::context::{Context, UNIFORM, layout_entries};
 use super::maps::MapCache;
 use super::uniforms::{CutShapeUniform, PlacedMapUniform};
 use super::variant::overrides;
@@ -22,20 +22,10 @@ const POINTS_AT_ONCE: usize = 1 << 20;
 impl Context {
     pub(super) fn stack_layout(&self) -> wgpu::BindGroupLayout {
         let stages = wgpu::ShaderStages::COMPUTE;
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: stages,
-            ty,
-            count: None,
-        };
-        let uniform = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        };
+        let entry = layout_entries(stages);
         let mut entries = vec![
-            entry(1, uniform),
-            entry(14, uniform),
+            entry(1, UNIFORM),
+            entry(14, UNIFORM),
             entry(3, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
         ];
         let texture = wgpu::BindingType::Texture {

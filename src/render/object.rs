@@ -1,6 +1,6 @@
 //! The device resources of a surface.
 
-use super::context::{Context, extent};
+use super::context::{Context, UNIFORM, extent, layout_entries};
 use super::target::RenderTexture;
 use super::uniforms::{DeformerUniform, PlacedSolidUniform, SurfaceObjectUniform};
 use super::work::ResourceKind;
@@ -171,17 +171,7 @@ impl SurfaceCache {
 impl Context {
     pub(super) fn object_layout(&self) -> wgpu::BindGroupLayout {
         let visibility = wgpu::ShaderStages::VERTEX_FRAGMENT;
-        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility,
-            ty,
-            count: None,
-        };
-        let uniform = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        };
+        let entry = layout_entries(visibility);
         let texture = |filterable| wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable },
             view_dimension: wgpu::TextureViewDimension::D3,
@@ -192,11 +182,11 @@ impl Context {
             .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
                 label: Some("object"),
                 entries: &[
-                    entry(0, uniform),
+                    entry(0, UNIFORM),
                     entry(1, texture(true)),
                     entry(2, texture(false)),
-                    entry(3, uniform),
-                    entry(4, uniform),
+                    entry(3, UNIFORM),
+                    entry(4, UNIFORM),
                 ],
             })
     }

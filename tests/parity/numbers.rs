@@ -24,7 +24,7 @@ pub(super) fn numbers_agree(kind: &str) {
     let assets = scenes::assets(&scene);
     let prepared = Prepared::new(&scene, &assets).unwrap();
     numbers_of(kind, &prepared, &assets);
-    // Again with the map sampled on the device: its texels against those sampled on the CPU.
+    // The same with the map sampled on the device: its texels against those sampled on the CPU.
     let by_cpu = prepared.stack.maps()[0].map.extent();
     let again = scenes::assets(&scene);
     let prepared = with_strategy(PREPARE, |r| {
