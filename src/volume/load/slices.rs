@@ -63,7 +63,7 @@ pub fn is_picture(path: &Path) -> bool {
 }
 
 /// Natural order: numbers in names compare as numbers.
-fn natural(a: &str, b: &str) -> Ordering {
+pub fn natural(a: &str, b: &str) -> Ordering {
     let (mut a, mut b) = (a.as_bytes(), b.as_bytes());
     let digits = |s: &[u8]| s.iter().take_while(|c| c.is_ascii_digit()).count();
     loop {

@@ -3,11 +3,11 @@
 use dicom_core::Tag;
 use dicom_object::InMemDicomObject;
 
-/// The text of an element, without padding.
+/// The text of an element, without padding and control characters.
 pub fn text(set: &InMemDicomObject, tag: Tag) -> String {
     set.get(tag)
         .and_then(|e| e.to_str().ok())
-        .map(|t| t.trim_matches(['\0', ' ']).trim().to_owned())
+        .map(|t| t.replace(char::is_control, " ").trim().to_owned())
         .unwrap_or_default()
 }
 
@@ -39,4 +39,10 @@ pub fn whole_number(set: &InMemDicomObject, tag: Tag) -> Option<u16> {
     number(set, tag)
         .filter(|n| (0.0..=65_535.0).contains(n))
         .map(|n| n as u16)
+}
+
+/// The first number of a private attribute, by its creator.
+pub fn private_number(set: &InMemDicomObject, group: u16, creator: &str, element: u16) -> Option<f64> {
+    let block = (0x10..0x100u16).find(|block| text(set, Tag(group, *block)).starts_with(creator))?;
+    numbers(set, Tag(group, block << 8 | element))?.first().copied()
 }

@@ -1,21 +1,34 @@
 //! DICOM: the series in a file, a folder or a zip, sorted into volumes.
 //!
 //! Frames belong together by series, orientation, size and spacing. They are sorted by their
-//! position along the slice normal, never by instance number. Every frame has its own geometry and
-//! rescale. A gantry tilt is a shear of the voxel axes. Uneven spacing and missing slices are
-//! reported with their positions, and resampled only on request.
+//! position along the slice normal, never by instance number. Frames at the same position belong to
+//! volumes of different times, echoes or phases, told apart by the attributes that differ. Every
+//! frame has its own geometry, rescale, padding and palette. A gantry tilt is a shear of the voxel
+//! axes. Uneven spacing and missing slices are reported with their positions, and resampled only on
+//! request.
 //!
 //! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
 
+mod attributes;
+mod characters;
 mod dataset;
 mod element;
+mod elements;
+mod frame;
 mod frames;
+mod increments;
 mod location;
+mod mosaic;
+mod object;
+mod palette;
 mod pixels;
 mod placement;
 mod scan;
 mod series;
+mod siblings;
 mod syntax;
+mod time_keys;
+mod times;
 mod values;
 mod volume;
 
@@ -24,9 +37,11 @@ pub use dataset::is_dicom;
 use super::ReadOptions;
 use super::image::Image;
 use crate::{Error, Result, Watch};
-use scan::{Object, ScanResult, scan};
+use object::Object;
+use scan::{ScanResult, scan};
 use serde_json::json;
 use series::{DicomSeries, chosen, described, places, series};
+use std::collections::BTreeSet;
 use std::path::Path;
 use syntax::syntax_name;
 use volume::volume;
@@ -156,19 +171,9 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             .unwrap_or_default();
         warnings.push(format!("{} damaged files are left out ({first})", found.damaged));
     }
-    if series.duplicates > 0 {
-        warnings.push(format!(
-            "{} slices at the same position as another were skipped",
-            series.duplicates
-        ));
-    }
     let time = choice.time_of(series.times.len())?;
-    if series.times.len() > 1 && choice.time.is_none() {
-        warnings.push(format!(
-            "holds {} volumes at the same place; the first is used (--time chooses another)",
-            series.times.len()
-        ));
-    }
+    warn_of_frames(series, &found.objects, choice, &mut warnings);
+    warnings.extend(siblings::warning(path, &found.objects, series));
     let reading = |share: f32| (watch.progress)(0.1 + 0.9 * share);
     let watch = Watch {
         progress: &reading,
@@ -190,7 +195,52 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     ]);
     if series.times.len() > 1 {
         image.details.push(("time_points", json!(series.times.len())));
+        image
+            .details
+            .extend(series.by.json().map(|times| ("times", times)));
     }
     image.warnings = warnings;
     Ok(image)
+}
+
+/// Warns of frames that share positions, and of several frames of reference.
+fn warn_of_frames(
+    series: &DicomSeries,
+    objects: &[Object],
+    choice: &ReadOptions,
+    warnings: &mut Vec<String>,
+) {
+    if series.duplicates > 0 {
+        warnings.push(format!(
+            "{} slices at the same position as another were skipped",
+            series.duplicates
+        ));
+    }
+    let count = series.times.len();
+    if count > 1 && choice.time.is_none() {
+        let by = series
+            .by
+            .described()
+            .map_or(String::new(), |by| format!(", told apart by {by}"));
+        warnings.push(format!(
+            "holds {count} volumes at the same place{by}; the first is used (--time chooses another)"
+        ));
+    }
+    if series.ambiguous {
+        warnings.push(
+            "holds slices at the same position that no attribute tells apart; they are in the order of instance numbers and file names, and a volume may mix them".into(),
+        );
+    }
+    let references: BTreeSet<&str> = series
+        .times
+        .iter()
+        .flatten()
+        .map(|f| objects[f.object].reference.as_str())
+        .collect();
+    if references.len() > 1 {
+        warnings.push(format!(
+            "has {} frames of reference; the positions of its slices may not belong together",
+            references.len()
+        ));
+    }
 }

@@ -7,23 +7,19 @@
 //! registry.
 
 use super::super::source::{RawScalar, read_error};
-use super::dataset::{one_line, open, whole};
-use super::frames::{Frame, PixelFormat};
-use super::scan::Object;
+use super::dataset::{one_line, open};
+use super::frame::PixelFormat;
+use super::location::Bytes;
+use super::object::Object;
 use super::syntax::{JPEG, JPEG_2000, max_compression_ratio, syntax_name};
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result};
-use dicom_core::header::HasLength;
-use dicom_core::{Length, Tag};
-use dicom_dictionary_std::tags;
 use dicom_encoding::adapters::{PixelDataObject, RawPixelData};
-use dicom_encoding::transfer_syntax::{Codec, Endianness, TransferSyntaxIndex};
-use dicom_parser::StatefulDecode;
-use dicom_parser::dataset::LazyDataToken;
+use dicom_encoding::transfer_syntax::{Codec, TransferSyntaxIndex};
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use jpeg_decoder::{ColorTransform, PixelFormat as JpegFormat};
 use std::borrow::Cow;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// The pixel bytes of an object.
@@ -76,92 +72,37 @@ fn is_compressed(object: &Object) -> bool {
         )
 }
 
-/// The pixel data element of an object.
-#[derive(Default)]
-struct PixelElement {
-    /// Offsets of compressed frames; none before the first item has been read.
-    table: Option<Vec<u32>>,
-    /// The bytes in order; a single fragment if they are uncompressed.
-    fragments: Vec<Vec<u8>>,
-}
-
-impl PixelElement {
-    /// Adds the value of an item: the first one holds the offsets of frames.
-    fn add(&mut self, bytes: Vec<u8>) {
-        match self.table {
-            None => {
-                self.table = Some(
-                    bytes
-                        .chunks_exact(4)
-                        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-                        .collect(),
-                )
-            }
-            Some(_) => self.fragments.push(bytes),
+/// The fragments of a compressed pixel data element, in order; the first one holds the offsets of
+/// frames.
+fn fragments(reader: &mut Bytes, end: u64, path: &Path) -> Result<Vec<Vec<u8>>> {
+    let io = |e: std::io::Error| read_error(path, e);
+    let mut position = reader.stream_position().map_err(io)?;
+    let mut found = Vec::new();
+    loop {
+        let mut head = [0u8; 8];
+        reader.read_exact(&mut head).map_err(io)?;
+        position += 8;
+        if head[..4] != [0xfe, 0xff, 0x00, 0xe0] {
+            // The delimiter; without it, everything before is complete as well.
+            return Ok(found);
+        }
+        let length = u64::from(u32::from_le_bytes([head[4], head[5], head[6], head[7]]));
+        if length > end.saturating_sub(position) {
+            return Err(io(ErrorKind::UnexpectedEof.into()));
+        }
+        found.push(bytes_of(reader, length).map_err(io)?);
+        position += length;
+        if position >= end {
+            return Ok(found);
         }
     }
 }
 
-/// Reads the pixel data element of an object; `most` limits the unpacked size of a deflated one.
-fn pixel_element(object: &Object, most: u64, compressed: bool) -> Result<PixelElement> {
-    let path = object.source.path();
-    let damaged = |e: String| damaged(path, &e);
-    let (mut tokens, end) = open(&object.source, most)?
-        .tokens()
-        .map_err(|e| damaged(e.to_string()))?;
-    let (mut element, mut in_pixels) = (PixelElement::default(), false);
-    let mut depth = 0usize;
-    while let Some(token) = tokens.advance() {
-        // Data after the pixels may be truncated.
-        let token = match token {
-            Ok(token) => token,
-            Err(_) if !element.fragments.is_empty() && !compressed => break,
-            Err(e) => return Err(damaged(one_line(&e))),
-        };
-        let here = |len: u32, at: u64| {
-            if u64::from(len) > end.saturating_sub(at) {
-                Err(read_error(path, ErrorKind::UnexpectedEof.into()))
-            } else {
-                Ok(())
-            }
-        };
-        match token {
-            // Pixels in a sequence belong to an icon.
-            LazyDataToken::PixelSequenceStart if depth == 0 => in_pixels = true,
-            LazyDataToken::SequenceStart { .. } | LazyDataToken::PixelSequenceStart => depth += 1,
-            LazyDataToken::SequenceEnd if in_pixels => break,
-            LazyDataToken::SequenceEnd => depth = depth.saturating_sub(1),
-            LazyDataToken::LazyValue { header, decoder } => {
-                let len = header.length().0;
-                here(len, decoder.position())?;
-                if header.tag == tags::PIXEL_DATA && depth == 0 {
-                    let mut bytes = Vec::new();
-                    decoder
-                        .read_to_vec(len, &mut bytes)
-                        .map_err(|e| damaged(one_line(&e)))?;
-                    element.fragments.push(bytes);
-                    break;
-                }
-                decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
-            }
-            LazyDataToken::LazyItemValue { len, decoder } => {
-                here(len, decoder.position())?;
-                if !in_pixels {
-                    decoder.skip_bytes(len).map_err(|e| damaged(one_line(&e)))?;
-                    continue;
-                }
-                let mut bytes = Vec::new();
-                decoder
-                    .read_to_vec(len, &mut bytes)
-                    .map_err(|e| damaged(one_line(&e)))?;
-                element.add(bytes);
-            }
-            // An item without a value.
-            LazyDataToken::ItemStart { len: Length(0) } if in_pixels => element.add(Vec::new()),
-            _ => {}
-        }
-    }
-    Ok(element)
+/// The next bytes.
+fn bytes_of(reader: &mut Bytes, length: u64) -> std::io::Result<Vec<u8>> {
+    let mut bytes = vec![0u8; length as usize];
+    reader.read_exact(&mut bytes)?;
+    Ok(bytes)
 }
 
 fn damaged(path: &Path, problem: &str) -> Error {
@@ -175,57 +116,121 @@ fn damaged(path: &Path, problem: &str) -> Error {
 pub fn read(object: &Object) -> Result<Pixels> {
     let path = object.source.path();
     let ended = || damaged(path, "the file is damaged");
-    let frames = object.frames.len();
-    let native_bytes = if object.format.allocated == 1 {
-        (object.format.values() * frames).div_ceil(8)
-    } else {
-        object.format.frame_bytes() * frames
-    };
-    if object.format.float {
-        let whole = catch_panic(|| whole(&object.source)).ok_or_else(ended)??;
-        let element = |tag: Tag| {
-            whole
-                .get(tag)
-                .and_then(|e| e.to_bytes().ok().map(Cow::into_owned))
-        };
-        let bytes = element(tags::FLOAT_PIXEL_DATA)
-            .or_else(|| element(tags::DOUBLE_FLOAT_PIXEL_DATA))
-            .ok_or_else(ended)?;
-        return native(path, bytes, native_bytes, cfg!(target_endian = "big"));
-    }
-    let compressed = is_compressed(object);
-    // A deflated object is unpacked up to the end of its pixels.
-    let most = (native_bytes as u64).saturating_add(64 << 20);
-    let PixelElement { table, mut fragments } =
-        catch_panic(|| pixel_element(object, most, compressed)).ok_or_else(ended)??;
-    if !compressed {
-        let big = TransferSyntaxRegistry
-            .get(&object.syntax)
-            .is_some_and(|s| s.endianness() == Endianness::Big);
-        let bytes = if fragments.is_empty() {
-            Vec::new()
-        } else {
-            fragments.swap_remove(0)
-        };
-        return native(path, bytes, native_bytes, big);
-    }
-    let assembled = frames_of(&table.unwrap_or_default(), fragments, frames);
-    Ok(Pixels::Packed(assembled.ok_or_else(|| {
-        damaged(path, &format!("its fragments do not form {frames} frames"))
-    })?))
+    catch_panic(|| read_unguarded(object)).ok_or_else(ended)?
 }
 
-fn native(path: &Path, bytes: Vec<u8>, needed: usize, big: bool) -> Result<Pixels> {
-    if bytes.is_empty() {
-        return Err(Error::file(
+/// Reads the pixels of an object; [`read`] turns a panic into an error.
+fn read_unguarded(object: &Object) -> Result<Pixels> {
+    let path = object.source.path();
+    let io = |e: std::io::Error| read_error(path, e);
+    let pictures = object.pictures;
+    let native_bytes = if object.format.allocated == 1 {
+        (object.format.values() * pictures).div_ceil(8)
+    } else {
+        object.format.frame_bytes() * pictures
+    };
+    // A deflated object is unpacked up to the end of its pixels.
+    let most = (native_bytes as u64).saturating_add(64 << 20);
+    let element = object.pixels;
+    let mut reader = open(&object.source, most)?.reader;
+    let end = reader.seek(SeekFrom::End(0)).map_err(io)?;
+    reader.seek(SeekFrom::Start(element.offset)).map_err(io)?;
+    let compressed = is_compressed(object);
+    let Some(length) = element.length else {
+        let mut fragments = fragments(&mut reader, end, path)?;
+        if fragments.is_empty() {
+            return Err(no_pixels(path));
+        }
+        let table: Vec<u32> = fragments
+            .remove(0)
+            .chunks_exact(4)
+            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
+        let assembled = frames_of(&table, fragments, pictures);
+        return Ok(Pixels::Packed(assembled.ok_or_else(|| {
+            damaged(path, &format!("its fragments do not form {pictures} frames"))
+        })?));
+    };
+    let length = u64::from(length);
+    if let Some(bytes) = subsampled(object, &mut reader, length).map_err(io)? {
+        return Ok(Pixels::Native(bytes, false));
+    }
+    if compressed && length < native_bytes as u64 {
+        return Err(damaged(
             path,
-            "holds no pixels: it is truncated, or only a header; copy or export it again",
+            &format!(
+                "they are not in the form that the transfer syntax {} requires",
+                syntax_name(&object.syntax)
+            ),
         ));
     }
-    if bytes.len() < needed {
-        return Err(read_error(path, ErrorKind::UnexpectedEof.into()));
+    if length == 0 {
+        return Err(no_pixels(path));
     }
-    Ok(Pixels::Native(bytes, big))
+    if length < native_bytes as u64 || (native_bytes as u64) > end.saturating_sub(element.offset) {
+        return Err(io(ErrorKind::UnexpectedEof.into()));
+    }
+    let bytes = bytes_of(&mut reader, native_bytes as u64).map_err(io)?;
+    Ok(Pixels::Native(bytes, element.big_endian))
+}
+
+/// Uncompressed colours whose two chroma values are shared by pairs of pixels, with chroma for every
+/// pixel; none if they are stored in full, whatever the header says.
+fn subsampled(object: &Object, reader: &mut Bytes, length: u64) -> std::io::Result<Option<Vec<u8>>> {
+    let format = &object.format;
+    let whole = (format.frame_bytes() * object.pictures) as u64;
+    if format.photometric != "YBR_FULL_422"
+        || (format.samples, format.allocated) != (3, 8)
+        || !format.columns.is_multiple_of(2)
+        || !(2 * whole / 3..whole).contains(&length)
+    {
+        return Ok(None);
+    }
+    let pairs = bytes_of(reader, 2 * whole / 3)?;
+    let full = pairs
+        .chunks_exact(4)
+        .flat_map(|p| [p[0], p[2], p[3], p[1], p[2], p[3]]);
+    Ok(Some(full.collect()))
+}
+
+/// Rejects, before anything is read, pixels that the object cannot contain.
+pub fn check_held(object: &Object) -> Result<()> {
+    let ratio = max_compression_ratio(&object.syntax, object.format.frame_bytes());
+    let bytes = object.format.frame_bytes() * object.pictures;
+    // Single bits are not padded to bytes between frames.
+    let padding = if object.format.allocated == 1 {
+        object.pictures
+    } else {
+        0
+    };
+    // Subsampled colours take two thirds.
+    let most = object.source.bytes().saturating_mul(ratio);
+    if (bytes.saturating_sub(padding) as u64) / 3 * 2 > most {
+        return Err(Error::file(
+            object.source.path(),
+            "declares more pixels than it can hold: it is truncated or damaged; copy or export it again",
+        ));
+    }
+    Ok(())
+}
+
+/// Whether two objects have the same pixels, as stored.
+pub fn same_pixels(a: &Object, b: &Object) -> bool {
+    let stored = |o: &Object| match read(o) {
+        Ok(Pixels::Native(bytes, big)) => Some((vec![bytes], big)),
+        Ok(Pixels::Packed(frames)) => Some((frames, false)),
+        Err(_) => None,
+    };
+    a.format == b.format
+        && a.source.bytes().abs_diff(b.source.bytes()) < 1 << 16
+        && stored(a).is_some_and(|a| Some(a) == stored(b))
+}
+
+fn no_pixels(path: &Path) -> Error {
+    Error::file(
+        path,
+        "holds no pixels: it is truncated, or only a header; copy or export it again",
+    )
 }
 
 /// Assembles fragments into frames: by the offset table, one per frame, all into one, or each from
@@ -265,12 +270,12 @@ fn frames_of(table: &[u32], fragments: Vec<Vec<u8>>, frames: usize) -> Option<Ve
 }
 
 /// The sample type of a format when read as stored.
-pub trait Pixel: RawScalar {
+pub trait Pixel: RawScalar + PartialOrd {
     /// Whether it is a floating-point type.
     const FLOAT: bool;
     /// The lowest `bits` bits of `raw` as a value, sign-extended if signed.
     fn of_bits(raw: u64, bits: u32, signed: bool) -> Self;
-    /// From a floating-point sample.
+    /// From a floating-point number.
     fn of_float(value: f64) -> Self;
 }
 
@@ -293,12 +298,12 @@ macro_rules! pixel {
 }
 pixel!(u8, i8, u16, i16, u32, i32, f32, f64);
 
-/// Writes the samples of one frame, applying `convert` to each stored one. RGB output is always
+/// Writes the samples of one picture, applying `convert` to each stored one. RGB output is always
 /// interleaved.
 pub fn decode<T: Pixel>(
     object: &Object,
     pixels: &Pixels,
-    frame: &Frame,
+    picture: usize,
     out: &mut [T],
     convert: &(dyn Fn(T) -> T + Sync),
 ) -> Result<()> {
@@ -306,7 +311,7 @@ pub fn decode<T: Pixel>(
     let (bytes, big): (Cow<[u8]>, bool) = match pixels {
         Pixels::Native(all, big) if format.allocated == 1 => {
             // Frames of single bits follow each other without padding.
-            let first = frame.number * format.values();
+            let first = picture * format.values();
             for (n, o) in out.iter_mut().enumerate() {
                 let bit = first + n;
                 *o = T::of_bits(
@@ -320,7 +325,7 @@ pub fn decode<T: Pixel>(
         }
         Pixels::Native(all, big) => {
             let length = format.frame_bytes();
-            let range = frame.number * length..(frame.number + 1) * length;
+            let range = picture * length..(picture + 1) * length;
             (
                 Cow::Borrowed(
                     all.get(range)
@@ -330,7 +335,7 @@ pub fn decode<T: Pixel>(
             )
         }
         Pixels::Packed(frames) => {
-            let compressed = frames.get(frame.number).map_or(&[][..], Vec::as_slice);
+            let compressed = frames.get(picture).map_or(&[][..], Vec::as_slice);
             (Cow::Owned(unpacked(object, compressed)?), false)
         }
     };
@@ -422,11 +427,48 @@ fn unpacked(object: &Object, compressed: &[u8]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Whether a JPEG picture declares YCbCr (true) or RGB, by its JFIF or Adobe marker.
+fn declared_color(compressed: &[u8]) -> Option<bool> {
+    let mut at = 2;
+    loop {
+        let (marker, length) = (
+            compressed.get(at..at + 2)?,
+            usize::from(u16::from_be_bytes(
+                compressed.get(at + 2..at + 4)?.try_into().ok()?,
+            )),
+        );
+        let value = compressed.get(at + 4..at + 2 + length)?;
+        match marker {
+            [0xff, 0xee] if value.starts_with(b"Adobe") => return value.get(11).map(|t| *t == 1),
+            [0xff, 0xe0] if value.starts_with(b"JFIF") => return Some(true),
+            [0xff, 0xda] => return None,
+            [0xff, _] => at += 2 + length,
+            _ => return None,
+        }
+    }
+}
+
+/// The colour space that an object's first JPEG picture declares, if the header contradicts it.
+pub fn contradicting_color(object: &Object) -> Option<&'static str> {
+    // Lossless pictures hold what the header says.
+    if !JPEG[..2].contains(&object.syntax.as_str()) {
+        return None;
+    }
+    let Ok(Pixels::Packed(pictures)) = read(object) else {
+        return None;
+    };
+    let ycbcr = declared_color(pictures.first()?)?;
+    let labelled = object.format.photometric.starts_with("YBR");
+    (ycbcr != labelled).then_some(if ycbcr { "YCbCr" } else { "RGB" })
+}
+
 fn jpeg(format: &PixelFormat, compressed: &[u8]) -> Result<Vec<u8>, String> {
     let mut decoder = jpeg_decoder::Decoder::new(compressed);
     if format.samples == 3 {
-        // The header takes precedence over the decoder's guess.
-        decoder.set_color_transform(if format.photometric.starts_with("YBR") {
+        // What the picture itself declares takes precedence over the header, and this over the
+        // decoder's guess.
+        let ycbcr = declared_color(compressed).unwrap_or(format.photometric.starts_with("YBR"));
+        decoder.set_color_transform(if ycbcr {
             ColorTransform::YCbCr
         } else {
             ColorTransform::RGB

@@ -1,14 +1,34 @@
 //! The placement of slices in space: the grid that fits them best, and their distance from it.
 
-use super::frames::Frame;
-use super::scan::Object;
-use super::series::{MAX_NAMED_POSITIONS, SAME_PLACE, normal};
+use super::frame::Frame;
+use super::increments::SliceDistance;
+use super::object::Object;
+use super::series::{MAX_NAMED_POSITIONS, has_locations, normal, same_place};
 use glam::{DAffine3, DMat3, DVec3};
 
-/// Steps that differ by more than this, in mm or as a fraction of the step, are uneven.
-const UNEVEN: [f64; 2] = [0.01, 0.01];
+/// Steps that differ by more than this fraction of the usual one are uneven.
+const UNEVEN: f64 = 0.01;
+/// Positions rounded to this many mm are not uneven, up to twice that fraction.
+const ROUNDED: f64 = 0.01;
 /// Maximum number of slices of a segmentation with omitted empty slices.
 const MAX_EMPTY_SLICES: f64 = 10_000.0;
+
+/// Largest difference from a step that is not uneven, mm.
+fn tolerance(step: f64) -> f64 {
+    (UNEVEN * step).max(ROUNDED.min(2.0 * UNEVEN * step))
+}
+
+/// A length in mm for messages, with enough digits at every scale.
+pub fn length(mm: f64) -> String {
+    match mm.abs() {
+        0.0 => "0".into(),
+        0.1.. => format!("{mm:.2}"),
+        v => {
+            let digits = (2 - v.log10().floor() as i32).clamp(2, 15) as usize;
+            format!("{mm:.digits$}")
+        }
+    }
+}
 
 /// The placement of a volume's slices.
 pub struct SlicePlacement {
@@ -52,7 +72,7 @@ impl SliceSpacing {
     fn is_uneven(&self) -> bool {
         self.gaps
             .iter()
-            .any(|g| (g - self.mean).abs() > UNEVEN[0].max(UNEVEN[1] * self.mean))
+            .any(|g| (g - self.mean).abs() > tolerance(self.mean))
     }
 
     /// The warning about uneven spacing: missing slices if all gaps are multiples of the usual one,
@@ -68,9 +88,10 @@ impl SliceSpacing {
         if !missing.is_empty() && gaps.iter().all(|g| whole(*g)) {
             let count: f64 = missing.iter().map(|&k| (gaps[k] / usual).round() - 1.0).sum();
             return format!(
-                "{count} {} missing at {} mm along the normal (spacing {usual:.2} mm){}",
+                "{count} {} missing at {} mm along the normal (spacing {} mm){}",
                 if count == 1.0 { "slice is" } else { "slices are" },
                 named_gaps(frames, &missing),
+                length(usual),
                 if resample {
                     ""
                 } else {
@@ -79,16 +100,19 @@ impl SliceSpacing {
             );
         }
         let odd: Vec<usize> = (0..gaps.len())
-            .filter(|&k| (gaps[k] - usual).abs() > UNEVEN[0].max(UNEVEN[1] * usual))
+            .filter(|&k| (gaps[k] - usual).abs() > tolerance(usual))
             .collect();
         let (mean, deviation) = (self.mean, self.deviation);
         let instead = format!(
-            "; the mean spacing of {mean:.2} mm is used, which misplaces slices by up to {deviation:.2} mm"
+            "; the mean spacing of {} mm is used, which misplaces slices by up to {} mm",
+            length(mean),
+            length(deviation)
         );
         format!(
-            "slice spacing varies from {:.2} to {:.2} mm (it differs from the usual {usual:.2} mm at {} mm along the normal){}",
-            by_size[0],
-            by_size[by_size.len() - 1],
+            "slice spacing varies from {} to {} mm (it differs from the usual {} mm at {} mm along the normal){}",
+            length(by_size[0]),
+            length(by_size[by_size.len() - 1]),
+            length(usual),
             named_gaps(frames, &odd),
             if resample { "" } else { &instead }
         )
@@ -98,7 +122,7 @@ impl SliceSpacing {
 /// The positions before and after some gaps, for messages.
 fn named_gaps(frames: &[&Frame], gaps: &[usize]) -> String {
     let unit = normal(frames[0]);
-    let place = |k: usize| format!("{:.2}", frames[k].position.map_or(0.0, |p| p.dot(unit)));
+    let place = |k: usize| length(frames[k].position.map_or(0.0, |p| p.dot(unit)));
     let some: Vec<String> = gaps
         .iter()
         .take(MAX_NAMED_POSITIONS)
@@ -115,8 +139,9 @@ fn named_gaps(frames: &[&Frame], gaps: &[usize]) -> String {
     }
 }
 
-/// Warns of geometry that a frame does not state.
-fn warn_of_unstated(frame: &Frame, warnings: &mut Vec<String>) {
+/// Warns of geometry that the frames do not state.
+fn warn_of_unstated(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) {
+    let frame = frames[0];
     if frame.spacing[0] == 0.0 {
         warnings.push("does not state its pixel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
@@ -126,34 +151,81 @@ fn warn_of_unstated(frame: &Frame, warnings: &mut Vec<String>) {
         );
     }
     if !frame.stated[0] {
-        warnings.push(
-            "does not state its slice positions; slices are ordered by instance number, and their axes are assumed to be left, posterior, superior"
-                .into(),
-        );
+        let order = match frames {
+            [_] => "",
+            _ if frame.position.is_some() => "slices are in the order of the file, and ",
+            _ if located(frames).is_some() => "slices are ordered by their slice location, and ",
+            [first, rest @ ..] if rest.iter().any(|f| f.instance != first.instance) => {
+                "slices are ordered by instance number, and "
+            }
+            _ => "slices are in the order of the numbers in their names, and ",
+        };
+        warnings.push(format!(
+            "does not state its slice positions; {order}its axes are assumed to be left, posterior, superior"
+        ));
+    }
+    if let Some(warning) = unstated_distance(frames, object) {
+        warnings.push(warning);
     }
 }
 
+/// The warning about a distance between slices that follows neither from positions nor from a
+/// stated distance.
+fn unstated_distance(frames: &[&Frame], object: &Object) -> Option<String> {
+    if frames.len() > 1 && (frames.iter().all(|f| f.placed) || located(frames).is_some()) {
+        return None;
+    }
+    match (object.slice_distance, frames.len()) {
+        (SliceDistance::Stated(_), _) | (SliceDistance::Thickness(_), 1) => None,
+        (SliceDistance::Thickness(mm), _) => Some(format!(
+            "does not state the distance between its slices; their thickness of {} mm is used (use --spacing to set it)",
+            length(mm)
+        )),
+        (SliceDistance::Unstated, 1) => Some(
+            "does not state the thickness of its slice; 1 mm is assumed (use --spacing to set it)".into(),
+        ),
+        (SliceDistance::Unstated, _) => Some(
+            "does not state the distance between its slices; 1 mm is assumed (use --spacing to set it)"
+                .into(),
+        ),
+    }
+}
+
+/// Slice locations of frames without positions, if they can be used.
+fn located(frames: &[&Frame]) -> Option<Vec<f64>> {
+    let frames: Vec<Frame> = frames.iter().map(|f| (*f).clone()).collect();
+    if frames.iter().any(|f| f.position.is_some()) || !has_locations(&frames) {
+        return None;
+    }
+    Some(frames.iter().filter_map(|f| f.location).collect())
+}
+
 /// Vector from one slice of the even grid to the next, mm.
-fn slice_step(frames: &[&Frame], object: &Object) -> DVec3 {
+fn slice_step(frames: &[&Frame], along: &[f64], object: &Object) -> DVec3 {
     let (first, last) = (frames[0], frames[frames.len() - 1]);
     let n = frames.len();
     let unit = normal(first);
+    let distance = object.slice_distance.mm();
+    let extent = along[n - 1] - along[0];
     let step = match (first.position, last.position) {
-        (Some(a), Some(b)) if n > 1 && (b - a).dot(unit).abs() > SAME_PLACE => (b - a) / (n - 1) as f64,
-        _ => unit * object.slice_spacing.unwrap_or(1.0),
+        (Some(a), Some(b)) if n > 1 && extent > same_place(along) => (b - a) / (n - 1) as f64,
+        (None, None) if n > 1 && extent > 0.0 => unit * (extent / (n - 1) as f64),
+        _ => unit * distance,
     };
-    // Writers of segmentations omit empty slices.
-    if object.segmentation && n > 1 {
-        let start = first.position.unwrap_or(DVec3::ZERO);
-        let at: Vec<f64> = frames
-            .iter()
-            .filter_map(|f| f.position)
-            .map(|p| (p - start).dot(unit))
-            .collect();
-        let least = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
-        let count = at.last().map_or(0.0, |last| last / least);
-        let whole = |a: &f64| (a / least - (a / least).round()).abs() < 0.05;
-        if at.len() == n && least > SAME_PLACE && count < MAX_EMPTY_SLICES && at.iter().all(whole) {
+    if !object.segmentation || n < 2 {
+        return step;
+    }
+    // Writers of segmentations omit empty slices: their distance is stated, or the smallest one.
+    let at: Vec<f64> = along.iter().map(|a| a - along[0]).collect();
+    let least = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
+    let stated = match object.slice_distance {
+        SliceDistance::Stated(mm) => Some(mm.abs()),
+        _ => None,
+    };
+    for spacing in stated.into_iter().chain([least]) {
+        let count = at.last().map_or(0.0, |last| last / spacing);
+        let whole = |a: &f64| (a / spacing - (a / spacing).round()).abs() < 0.05;
+        if spacing > 0.0 && (1.0..MAX_EMPTY_SLICES).contains(&count.round()) && at.iter().all(whole) {
             return step * (n - 1) as f64 / count.round();
         }
     }
@@ -168,19 +240,25 @@ pub fn placement(
     warnings: &mut Vec<String>,
 ) -> SlicePlacement {
     let first = frames[0];
-    warn_of_unstated(first, warnings);
+    warn_of_unstated(frames, object, warnings);
     let [columns, rows] = first.spacing.map(|s| if s > 0.0 { s } else { 1.0 });
     let start = first.position.unwrap_or(DVec3::ZERO);
     let unit = normal(first);
-    let step = slice_step(frames, object);
+    let along: Vec<f64> = match located(frames) {
+        Some(locations) => locations.iter().map(|l| l - locations[0]).collect(),
+        None => frames
+            .iter()
+            .map(|f| f.position.map_or(0.0, |p| (p - start).dot(unit)))
+            .collect(),
+    };
+    let step = slice_step(frames, &along, object);
     let mm = step.dot(unit);
-    let along: Vec<f64> = frames
-        .iter()
-        .enumerate()
-        .map(|(k, f)| f.position.map_or(k as f64, |p| (p - start).dot(unit) / mm))
+    let placed = along[along.len() - 1] > 0.0;
+    let along: Vec<f64> = (0..frames.len())
+        .map(|k| if placed { along[k] / mm } else { k as f64 })
         .collect();
     let spacing = SliceSpacing::new(&along, mm);
-    let off_grid = |a: &f64| (a - a.round()).abs() * mm > UNEVEN[0].max(0.05 * mm);
+    let off_grid = |a: &f64| (a - a.round()).abs() > 0.05;
     let uneven = if object.segmentation {
         along.iter().any(off_grid)
     } else {

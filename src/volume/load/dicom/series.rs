@@ -1,14 +1,27 @@
 //! Groups the frames of DICOM objects into series by their common attributes, sorts them by
-//! position, and divides them into time points.
+//! position, and divides them into volumes of one time.
+//!
+//! Orientations, spacings and positions are compared with tolerances relative to what is compared,
+//! in any unit from nanometres to metres.
 
-use super::frames::Frame;
-use super::scan::Object;
+use super::frame::Frame;
+use super::object::Object;
+use super::pixels::same_pixels;
+use super::times::{Division, TimePoints, divide};
+use crate::volume::load::slices::natural;
 use crate::{Error, Result};
 use glam::DVec3;
-use std::collections::HashMap;
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, HashMap};
 
-/// Frames closer than this are at the same position, mm.
-pub const SAME_PLACE: f64 = 1e-3;
+/// Directions that differ by less than this, as a fraction of a unit vector, are equal.
+const SAME_DIRECTION: f64 = 2e-3;
+/// Pixel spacings that differ by less than this fraction are equal.
+const SAME_SPACING: f64 = 1e-3;
+/// Positions that differ by less than this fraction of the usual distance between slices are equal.
+const SAME_PLACE: f64 = 0.01;
+/// Positions that belong together differ by less than this fraction of the distance between others.
+const JITTER: f64 = 1e-3;
 /// Maximum number of positions named in one message.
 pub const MAX_NAMED_POSITIONS: usize = 8;
 
@@ -18,8 +31,12 @@ pub struct DicomSeries {
     pub object: usize,
     /// By time, each sorted along the normal.
     pub times: Vec<Vec<Frame>>,
+    /// How the times are told apart.
+    pub by: TimePoints,
     /// Number of omitted frames that share a position with another one.
     pub duplicates: usize,
+    /// Whether frames at the same position could not be told apart by any attribute.
+    pub ambiguous: bool,
 }
 
 /// Describes a series in messages: its modality, number, description and number of slices.
@@ -88,119 +105,278 @@ pub fn normal(frame: &Frame) -> DVec3 {
     frame.along[0].cross(frame.along[1]).normalize_or(DVec3::Z)
 }
 
+/// What the frames of a series have in common, exactly.
+fn common(object: &Object) -> String {
+    let f = &object.format;
+    let number = object.series_number.unwrap_or(0);
+    let (series, modality, segmentation) = (&object.series, &object.modality, object.segmentation);
+    let [columns, rows] = object.plane();
+    format!(
+        "{series} {number} {modality} {segmentation} {rows} {columns} {} {}",
+        f.samples, f.photometric
+    )
+}
+
+/// Whether two frames have the same orientation and spacing.
+fn is_like(a: &Frame, b: &Frame) -> bool {
+    let directions = (0..2).all(|n| (a.along[n] - b.along[n]).length() < SAME_DIRECTION);
+    let spacings =
+        (0..2).all(|n| (a.spacing[n] - b.spacing[n]).abs() <= SAME_SPACING * a.spacing[n].max(b.spacing[n]));
+    directions && spacings
+}
+
 /// Groups frames by their common attributes, the largest series first.
 pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
-    let mut groups: HashMap<String, Vec<Frame>> = HashMap::new();
+    let mut groups: BTreeMap<String, Vec<Vec<Frame>>> = BTreeMap::new();
     for object in objects {
-        let f = &object.format;
-        let what = format!(
-            "{} {} {} {} {} {} {} {} {}",
-            object.series,
-            object.modality,
-            object.segmentation,
-            f.rows,
-            f.columns,
-            f.samples,
-            f.allocated,
-            f.signed,
-            f.photometric
-        );
+        let groups = groups.entry(common(object)).or_default();
         for frame in &object.frames {
-            let rounded = |v: f64| (v * 1e3).round() as i64;
-            let [a, b] = frame.along.map(|d| d.to_array().map(rounded));
-            let key = format!("{what} {a:?} {b:?} {:?}", frame.spacing.map(rounded));
-            groups.entry(key).or_default().push(frame.clone());
+            match groups.iter_mut().rev().find(|g| is_like(&g[0], frame)) {
+                Some(group) => group.push(frame.clone()),
+                None => groups.push(vec![frame.clone()]),
+            }
         }
     }
-    let mut all: Vec<(String, DicomSeries)> = groups
-        .into_iter()
-        .map(|(key, frames)| (key, sorted(frames, objects)))
+    let mut all: Vec<DicomSeries> = groups
+        .into_values()
+        .flatten()
+        .map(|frames| sorted(frames, objects))
         .collect();
     let voxels = |s: &DicomSeries| {
-        let f = &objects[s.object].format;
-        places(&s.times[0]).len() * usize::from(f.rows) * usize::from(f.columns)
+        let [columns, rows] = objects[s.object].plane();
+        places(&s.times[0]).len() * rows * columns
     };
-    // Ties are broken by name for a reproducible order.
-    all.sort_by(|a, b| voxels(&b.1).cmp(&voxels(&a.1)).then_with(|| a.0.cmp(&b.0)));
-    all.into_iter().map(|(_, s)| s).collect()
+    // Ties keep the order of the groups, which is reproducible.
+    all.sort_by_key(|s| std::cmp::Reverse(voxels(s)));
+    all
+}
+
+/// Position of a frame along its normal, mm.
+fn along_normal(frame: &Frame, unit: DVec3) -> f64 {
+    frame.position.map_or(0.0, |p| p.dot(unit))
+}
+
+/// The distance, mm, below which sorted positions along a normal are the same.
+pub fn same_place(sorted: &[f64]) -> f64 {
+    let (Some(first), Some(last)) = (sorted.first(), sorted.last()) else {
+        return 0.0;
+    };
+    // Decimal digits of positions end here.
+    let least = 1e-11 * first.abs().max(last.abs()) + 1e-9 * (last - first);
+    let mut gaps: Vec<f64> = sorted
+        .windows(2)
+        .map(|w| w[1] - w[0])
+        .filter(|g| *g > least)
+        .collect();
+    gaps.sort_by(f64::total_cmp);
+    let Some(&usual) = gaps.get(gaps.len() / 2) else {
+        return least;
+    };
+    // The gap at which half of the distance is covered by larger ones.
+    let mut covered = 0.0;
+    let large = gaps
+        .iter()
+        .rev()
+        .find(|g| {
+            covered += **g;
+            covered >= 0.5 * (last - first)
+        })
+        .copied()
+        .unwrap_or(usual);
+    let strict = (SAME_PLACE * usual).max(least);
+    if usual > JITTER * large {
+        return strict;
+    }
+    // Mostly tiny gaps: repeated positions that scatter, if they come in groups of one size.
+    let tolerant = (SAME_PLACE * large).max(least);
+    let sizes = group_sizes(sorted, tolerant);
+    let most = sizes.iter().copied().max().unwrap_or(0);
+    let full = sizes.iter().filter(|s| **s == most).count();
+    if most > 1 && sizes.len() > 1 && 2 * full >= sizes.len() {
+        tolerant
+    } else {
+        strict
+    }
+}
+
+/// Numbers of consecutive positions that differ by less than a tolerance.
+fn group_sizes(sorted: &[f64], tolerance: f64) -> Vec<usize> {
+    let mut sizes = vec![1];
+    for pair in sorted.windows(2) {
+        if pair[1] - pair[0] <= tolerance {
+            *sizes.last_mut().unwrap_or(&mut 0) += 1;
+        } else {
+            sizes.push(1);
+        }
+    }
+    sizes
 }
 
 /// Distinct positions along the normal, sorted.
 pub fn places(frames: &[Frame]) -> Vec<f64> {
-    let mut at: Vec<f64> = frames
-        .iter()
-        .map(|f| f.position.map_or(0.0, |p| p.dot(normal(f))))
-        .collect();
     if frames.iter().any(|f| f.position.is_none()) {
         return (0..frames.len()).map(|n| n as f64).collect();
     }
+    let unit = normal(&frames[0]);
+    let mut at: Vec<f64> = frames.iter().map(|f| along_normal(f, unit)).collect();
     at.sort_by(f64::total_cmp);
-    at.dedup_by(|a, b| (*a - *b).abs() < SAME_PLACE);
+    let tolerance = same_place(&at);
+    at.dedup_by(|a, b| (*a - *b).abs() <= tolerance);
     at
 }
 
-/// A group of frames sorted along its normal, divided into time points if every position occurs
-/// equally often.
+/// A group of frames sorted along its normal, divided into volumes.
 fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let object = frames.first().map_or(0, |f| f.object);
-    let by_order = |a: &Frame, b: &Frame| {
-        let order = a
-            .order
-            .iter()
-            .zip(&b.order)
-            .map(|(a, b)| a.total_cmp(b))
-            .find(|o| o.is_ne())
-            .unwrap_or(std::cmp::Ordering::Equal);
-        order
-            .then_with(|| {
-                objects[a.object]
-                    .source
-                    .path()
-                    .cmp(objects[b.object].source.path())
-            })
-            .then_with(|| a.number.cmp(&b.number))
+    let one = |frames: Vec<Frame>| DicomSeries {
+        object,
+        times: vec![frames],
+        by: TimePoints::default(),
+        duplicates: 0,
+        ambiguous: false,
     };
-    let placed = frames.iter().all(|f| f.position.is_some());
-    if !placed {
-        // By instance number, for want of better information.
-        frames.sort_by(|a, b| a.order[4].total_cmp(&b.order[4]).then_with(|| by_order(a, b)));
-        return DicomSeries {
-            object,
-            times: vec![frames],
-            duplicates: 0,
-        };
+    if frames.iter().any(|f| f.position.is_none()) {
+        sort_unplaced(&mut frames, objects);
+        return one(frames);
     }
-    let at = |f: &Frame| f.position.map_or(0.0, |p| p.dot(normal(f)));
-    frames.sort_by(|a, b| at(a).total_cmp(&at(b)).then_with(|| by_order(a, b)));
+    let unit = normal(&frames[0]);
+    frames.sort_by(|a, b| {
+        along_normal(a, unit)
+            .total_cmp(&along_normal(b, unit))
+            .then_with(|| by_name(a, b, objects))
+    });
     if objects[object].segmentation {
         // Segments share positions.
-        return DicomSeries {
-            object,
-            times: vec![frames],
-            duplicates: 0,
-        };
+        return one(frames);
     }
-    let mut stacks: Vec<Vec<Frame>> = Vec::new();
-    for frame in frames {
-        match stacks
-            .last_mut()
-            .filter(|s| s.first().is_some_and(|f| (at(f) - at(&frame)).abs() < SAME_PLACE))
-        {
-            Some(stack) => stack.push(frame),
-            None => stacks.push(vec![frame]),
-        }
+    let at: Vec<f64> = frames.iter().map(|f| along_normal(f, unit)).collect();
+    let tolerance = same_place(&at);
+    let mut stack = vec![0; frames.len()];
+    for n in 1..frames.len() {
+        stack[n] = stack[n - 1] + usize::from(at[n] - at[n - 1] > tolerance);
     }
-    stacks.iter_mut().for_each(|s| s.sort_by(by_order));
-    let often = stacks.iter().map(Vec::len).min().unwrap_or(1);
-    let even = stacks.iter().all(|s| s.len() == often);
-    let times = if even { often } else { 1 };
-    let duplicates = stacks.iter().map(|s| s.len() - times).sum();
-    let times = (0..times)
-        .map(|t| stacks.iter().map(|s| s[t].clone()).collect())
+    let division = divide(&frames, &stack);
+    let division = without_copies(division, &frames, &stack, objects);
+    let mut times: Vec<Vec<Frame>> = division
+        .volumes
+        .iter()
+        .map(|v| v.iter().map(|n| frames[*n].clone()).collect())
         .collect();
+    let distance = |f: &Frame| along_normal(f, unit);
+    times
+        .iter_mut()
+        .for_each(|t| t.sort_by(|a, b| distance(a).total_cmp(&distance(b))));
     DicomSeries {
         object,
         times,
-        duplicates,
+        by: division.by,
+        duplicates: division.duplicates.len(),
+        ambiguous: division.ambiguous,
+    }
+}
+
+/// Where no attribute tells frames apart, those with the same pixels are copies.
+fn without_copies(mut division: Division, frames: &[Frame], stack: &[usize], objects: &[Object]) -> Division {
+    if !division.ambiguous {
+        return division;
+    }
+    let mut known: HashMap<usize, Vec<usize>> = HashMap::new();
+    let mut volumes = Vec::new();
+    for volume in &division.volumes {
+        let mut own = Vec::new();
+        for n in volume {
+            let seen = known.entry(stack[*n]).or_default();
+            let same = |m: &usize| {
+                let (a, b) = (&frames[*n], &frames[*m]);
+                a.number == b.number
+                    && a.tile == b.tile
+                    && same_pixels(&objects[a.object], &objects[b.object])
+            };
+            if seen.iter().any(same) {
+                division.duplicates.push(*n);
+            } else {
+                seen.push(*n);
+                own.push(*n);
+            }
+        }
+        if !own.is_empty() {
+            volumes.push(own);
+        }
+    }
+    let largest = volumes.iter().map(Vec::len).max().unwrap_or(0);
+    let (volumes, few): (Vec<_>, Vec<_>) = volumes.into_iter().partition(|v| 2 * v.len() >= largest);
+    division.duplicates.extend(few.concat());
+    division.ambiguous = volumes.len() > 1;
+    if volumes.len() != division.volumes.len() {
+        division.by = TimePoints::default();
+    }
+    division.volumes = volumes;
+    division
+}
+
+/// The order of names, in which numbers count as numbers, and of frames in an object.
+fn by_name(a: &Frame, b: &Frame, objects: &[Object]) -> Ordering {
+    let name = |f: &Frame| objects[f.object].source.path().to_string_lossy();
+    natural(&name(a), &name(b)).then_with(|| a.number.cmp(&b.number))
+}
+
+/// Sorts frames without positions: by slice location, if every frame states another one, else by
+/// instance number, else by name.
+fn sort_unplaced(frames: &mut [Frame], objects: &[Object]) {
+    if has_locations(frames) {
+        frames.sort_by(|a, b| {
+            let of = |f: &Frame| f.location.unwrap_or(0.0);
+            of(a).total_cmp(&of(b))
+        });
+        return;
+    }
+    let instances = frames.iter().any(|f| f.instance != frames[0].instance);
+    frames.sort_by(|a, b| {
+        let of = |f: &Frame| f.instance.unwrap_or(0.0);
+        let order = if instances {
+            of(a).total_cmp(&of(b))
+        } else {
+            Ordering::Equal
+        };
+        order.then_with(|| by_name(a, b, objects))
+    });
+}
+
+/// Whether every frame states a slice location of its own.
+pub fn has_locations(frames: &[Frame]) -> bool {
+    let mut at: Vec<f64> = frames.iter().filter_map(|f| f.location).collect();
+    at.sort_by(f64::total_cmp);
+    let tolerance = same_place(&at);
+    at.len() == frames.len() && at.len() > 1 && at.windows(2).all(|w| w[1] - w[0] > tolerance)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Positions in any unit, repeated exactly, with scatter, or not at all.
+    #[test]
+    fn positions_are_compared_relative_to_their_distances() {
+        let count = |mut at: Vec<f64>| {
+            at.sort_by(f64::total_cmp);
+            group_sizes(&at, same_place(&at)).len()
+        };
+        for unit in [1e-7, 5e-4, 1.0, 3e3] {
+            let even = |n: usize, times: usize, scatter: f64| -> Vec<f64> {
+                (0..n * times)
+                    .map(|m| unit * ((m / times) as f64 + scatter * (m % times) as f64 - 7.3))
+                    .collect()
+            };
+            assert_eq!(count(even(12, 1, 0.0)), 12, "{unit}");
+            assert_eq!(count(even(12, 3, 0.0)), 12, "{unit}");
+            assert_eq!(count(even(12, 2, 1e-4)), 12, "{unit}");
+            assert_eq!(count(even(12, 3, 1e-4)), 12, "{unit}");
+            // Two blocks of slices far apart.
+            let mut blocks = even(50, 1, 0.0);
+            blocks.extend(even(50, 1, 0.0).iter().map(|a| a + 400.0 * unit));
+            assert_eq!(count(blocks), 100, "{unit}");
+        }
+        assert_eq!(count(vec![3.0]), 1);
+        assert_eq!(count(vec![3.0, 3.0]), 1);
     }
 }

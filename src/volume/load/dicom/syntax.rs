@@ -4,6 +4,12 @@ use super::super::source::DEFLATE_LIMIT;
 use dicom_encoding::transfer_syntax::TransferSyntaxIndex;
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 
+/// Little endian: implicit VR, explicit VR, and deflated explicit VR.
+pub const IMPLICIT: &str = "1.2.840.10008.1.2";
+pub const EXPLICIT: &str = "1.2.840.10008.1.2.1";
+pub const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
+/// Explicit VR big endian.
+pub const BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
 /// The JPEG syntaxes: baseline, extended, lossless.
 pub const JPEG: [&str; 6] = [
     "1.2.840.10008.1.2.4.50",
@@ -26,8 +32,8 @@ const SMALL_FRAME: usize = 64 << 20;
 /// The maximum compression ratio of pixels in a transfer syntax, for frames of a given size.
 pub fn max_compression_ratio(syntax: &str, frame_bytes: usize) -> u64 {
     match syntax {
-        "1.2.840.10008.1.2" | "1.2.840.10008.1.2.1" | "1.2.840.10008.1.2.2" => 1,
-        "1.2.840.10008.1.2.1.99" => DEFLATE_LIMIT,
+        IMPLICIT | EXPLICIT | BIG_ENDIAN => 1,
+        DEFLATED => DEFLATE_LIMIT,
         // A run of 128 takes two bytes.
         "1.2.840.10008.1.2.5" => 64,
         _ if frame_bytes <= SMALL_FRAME => 20_000,

@@ -3,18 +3,18 @@
 use super::super::image::{Image, Meaning};
 use super::super::source::usable;
 use super::super::{ReadOptions, Voxels};
-use super::frames::Frame;
-use super::pixels::check_syntax;
-use super::placement::{SlicePlacement, placement};
-use super::scan::Object;
-use super::series::{SAME_PLACE, normal};
-use super::syntax::max_compression_ratio;
+use super::frame::Frame;
+use super::object::Object;
+use super::pixels::{check_held, check_syntax};
+use super::placement::{SlicePlacement, length, placement};
+use super::series::{normal, same_place};
 use super::values::DecodeJob;
 use crate::volume::{Rescale, SliceDisplacement};
 use crate::{Error, Result, Watch};
 use serde_json::{Value, json};
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// Maximum factor by which resampling may increase the number of slices.
 const MAX_RESAMPLING_FACTOR: f64 = 16.0;
@@ -22,14 +22,20 @@ const MAX_RESAMPLING_FACTOR: f64 = 16.0;
 /// The first frame of each slice, and the slice index of each frame; several frames of a
 /// segmentation share a slice.
 fn slices(frames: &[Frame], segmentation: bool) -> (Vec<&Frame>, Vec<usize>) {
+    if !segmentation {
+        return (frames.iter().collect(), (0..frames.len()).collect());
+    }
+    let unit = normal(&frames[0]);
+    let at = |f: &Frame| f.position.map(|p| p.dot(unit));
+    let places: Vec<f64> = frames.iter().filter_map(at).collect();
+    let tolerance = same_place(&places);
     let mut slices: Vec<&Frame> = Vec::new();
     let mut slot: Vec<usize> = Vec::with_capacity(frames.len());
     for frame in frames {
         let same = |f: &&&Frame| {
-            segmentation
-                && f.position
-                    .zip(frame.position)
-                    .is_some_and(|(a, b)| (a - b).dot(normal(f)).abs() < SAME_PLACE)
+            at(f)
+                .zip(at(frame))
+                .is_some_and(|(a, b)| (a - b).abs() <= tolerance)
         };
         if slices.last().filter(same).is_none() {
             slices.push(frame);
@@ -60,9 +66,7 @@ pub fn volume(
     warnings: &mut Vec<String>,
 ) -> Result<Image> {
     let object = &objects[frames[0].object];
-    for o in frames.iter().map(|f| f.object).collect::<BTreeSet<_>>() {
-        check_syntax(&objects[o])?;
-    }
+    check_objects(path, objects, frames)?;
     let (slices, mut slot) = slices(frames, object.segmentation);
     let placement = placement(&slices, object, choice.resample, warnings);
     let format = &object.format;
@@ -72,20 +76,19 @@ pub fn volume(
             .for_each(|s| *s = placement.at[*s].round() as usize);
         depth = slot.last().map_or(1, |s| s + 1);
     }
-    let size = [usize::from(format.columns), usize::from(format.rows), depth];
+    let [columns, rows] = object.plane();
+    let size = [columns, rows, depth];
     if !usable(&placement.world_from_voxel) {
         return Err(Error::file(
             path,
             "states positions or spacings that cannot be used; its header is damaged",
         ));
     }
-    let samples = usize::from(format.samples);
     let total = size
         .iter()
         .product::<usize>()
-        .checked_mul(samples)
+        .checked_mul(usize::from(format.samples))
         .ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
-    check_pixels(path, objects, frames)?;
     let job = DecodeJob {
         path,
         objects,
@@ -93,18 +96,31 @@ pub fn volume(
         slot: &slot,
         total,
         watch,
+        unread: Mutex::default(),
     };
     let (voxels, components) = job.values(warnings)?;
-    let has_one_rescale = job.has_one_rescale();
+    let has_one_scale = job.has_one_scale();
+    warn_of_unread(
+        &job.unread.into_inner().unwrap_or_else(PoisonError::into_inner),
+        &slices,
+        warnings,
+    );
+    if object.modality_table {
+        warnings
+            .push("has a modality look-up table, which is not applied; its stored values are shown".into());
+    }
     let mut image = Image::new("DICOM", voxels, size, placement.world_from_voxel);
     image.components = components;
-    image.rescale = if has_one_rescale && components == 1 {
+    image.rescale = if has_one_scale && components == 1 {
         frames[0].rescale
     } else {
         Rescale::NONE
     };
     image.inverted = format.photometric == "MONOCHROME1";
-    image.padding = object.padding.filter(|_| components == 1 && has_one_rescale);
+    if image.inverted {
+        warnings.push("shows high values dark (MONOCHROME1); its values are as stored".into());
+    }
+    image.padding = object.padding.filter(|_| components == 1 && has_one_scale);
     if object.segmentation {
         image.meaning = Meaning::Labels(object.segments.clone());
     } else if components > 1 {
@@ -120,6 +136,45 @@ pub fn volume(
     Ok(image)
 }
 
+/// Rejects, before anything is allocated, volumes most of whose objects cannot be decoded or cannot
+/// contain their pixels.
+fn check_objects(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
+    let all: BTreeSet<usize> = frames.iter().map(|f| f.object).collect();
+    let mut failed = Vec::new();
+    for object in all.iter().map(|o| &objects[*o]) {
+        failed.extend(check_syntax(object).and_then(|()| check_held(object)).err());
+    }
+    if !failed.is_empty() && (2 * failed.len() >= all.len() || objects[frames[0].object].segmentation) {
+        return Err(match failed.swap_remove(0) {
+            Error::File { problem, .. } if all.len() == 1 => Error::file(path, problem),
+            other => other,
+        });
+    }
+    Ok(())
+}
+
+/// Warns of slices that could not be read.
+fn warn_of_unread(unread: &[(usize, String)], slices: &[&Frame], warnings: &mut Vec<String>) {
+    let Some((first, problem)) = unread.first() else {
+        return;
+    };
+    let at = slices
+        .get(*first)
+        .and_then(|f| Some(f.position?.dot(normal(f))))
+        .map_or(String::new(), |mm| {
+            format!(", the first at {} mm along the normal", length(mm))
+        });
+    let (are, left) = if unread.len() == 1 {
+        ("slice is", "is")
+    } else {
+        ("slices are", "are")
+    };
+    warnings.push(format!(
+        "{} {are} missing because they cannot be read{at}; what is there {left} left empty ({problem})",
+        unread.len()
+    ));
+}
+
 /// Positions of slices along their normal, mm, for `info`.
 fn positions(slices: &[&Frame]) -> Value {
     json!(
@@ -128,33 +183,6 @@ fn positions(slices: &[&Frame]) -> Value {
             .map(|f| f.position.map(|p| (p.dot(normal(f)) * 1e4).round() / 1e4))
             .collect::<Vec<_>>()
     )
-}
-
-/// Rejects, before anything is allocated, frames that the files cannot contain.
-fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
-    let mut needed: HashMap<usize, usize> = HashMap::new();
-    for frame in frames {
-        *needed.entry(frame.object).or_default() += objects[frame.object].format.frame_bytes();
-    }
-    for (object, bytes) in needed {
-        let object = &objects[object];
-        let ratio = max_compression_ratio(&object.syntax, object.format.frame_bytes());
-        // Single bits are not padded to bytes between frames.
-        let bytes = if object.format.allocated == 1 {
-            bytes.saturating_sub(frames.len())
-        } else {
-            bytes
-        };
-        let most = object.source.bytes().saturating_mul(ratio);
-        if bytes as u64 > most {
-            let named = if path.is_dir() { object.source.path() } else { path };
-            return Err(Error::file(
-                named,
-                "declares more pixels than it can hold: it is truncated or damaged; copy or export it again",
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// Interpolates unevenly spaced slices onto an even grid of the usual step.

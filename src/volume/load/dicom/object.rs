@@ -1,0 +1,319 @@
+//! An object: the content of its header, with one [`Frame`] for every plane of pixels.
+
+use super::dataset::header;
+use super::element::{item, number, text, vector, whole_number};
+use super::elements::{DataSet, PixelElement};
+use super::frame::{Frame, PixelFormat};
+use super::frames::{frames, picture_count};
+use super::increments::SliceDistance;
+use super::location::ObjectLocation;
+use super::mosaic::Mosaic;
+use super::palette::{Palette, palette};
+use super::syntax::{DEFLATED, max_compression_ratio};
+use crate::panic_guard::catch_panic;
+use crate::volume::Label;
+use crate::{Error, Result};
+use dicom_core::Tag;
+use dicom_dictionary_std::tags;
+use dicom_object::InMemDicomObject;
+
+/// Segmentation storage, and the newer class whose pixels are labels.
+const SEGMENTATION: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
+
+/// The meaning of a segmentation's pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SegmentsAs {
+    /// Labels.
+    Labels,
+    /// Fractions of the frame's segment, relative to this maximum.
+    Shares(u16),
+}
+
+/// The content of an object's header.
+pub struct Object {
+    pub source: ObjectLocation,
+    pub syntax: String,
+    pub instance: String,
+    pub series: String,
+    pub series_number: Option<i64>,
+    pub description: String,
+    pub modality: String,
+    pub patient: [String; 2],
+    pub format: PixelFormat,
+    /// Number of pictures in the object.
+    pub pictures: usize,
+    /// Where its pixels are.
+    pub pixels: PixelElement,
+    /// Pixels along a row and a column of a slice, if a picture holds several slices.
+    pub tile: Option<[usize; 2]>,
+    pub padding: Option<[f64; 2]>,
+    pub slice_distance: SliceDistance,
+    /// Frame of reference; may be empty.
+    pub reference: String,
+    /// Whether a modality look-up table is to be applied to its values.
+    pub modality_table: bool,
+    pub segmentation: bool,
+    pub segments_as: SegmentsAs,
+    pub segments: Vec<Label>,
+    pub frames: Vec<Frame>,
+    pub palette: Option<Palette>,
+}
+
+impl Object {
+    /// Pixels along a row and a column of a slice.
+    pub fn plane(&self) -> [usize; 2] {
+        let picture = [usize::from(self.format.columns), usize::from(self.format.rows)];
+        self.tile.unwrap_or(picture)
+    }
+
+    /// Number of values in a slice.
+    pub fn plane_values(&self) -> usize {
+        let [columns, rows] = self.plane();
+        columns * rows * usize::from(self.format.samples)
+    }
+}
+
+/// An object's header; none if it contains no pixels.
+pub fn object(source: ObjectLocation) -> Result<Option<Object>> {
+    let path = source.path().to_owned();
+    let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
+    catch_panic(|| -> Result<Option<Object>> {
+        let (syntax, dataset) = header(&source)?;
+        object_of(source.clone(), syntax, &dataset)
+    })
+    .ok_or_else(ended)?
+}
+
+/// The storage of an object's pixels; none if it has no pixels.
+fn pixel_format(set: &InMemDicomObject) -> Option<PixelFormat> {
+    let whole = |tag: Tag| whole_number(set, tag);
+    let (rows, columns) = (whole(tags::ROWS)?, whole(tags::COLUMNS)?);
+    let allocated = whole(tags::BITS_ALLOCATED).unwrap_or(16);
+    let stored = whole(tags::BITS_STORED).unwrap_or(allocated);
+    Some(PixelFormat {
+        rows,
+        columns,
+        samples: whole(tags::SAMPLES_PER_PIXEL).unwrap_or(1),
+        allocated,
+        stored,
+        high_bit: whole(tags::HIGH_BIT).unwrap_or(stored.saturating_sub(1)),
+        signed: whole(tags::PIXEL_REPRESENTATION) == Some(1),
+        float: set.get(tags::FLOAT_PIXEL_DATA).is_some() || set.get(tags::DOUBLE_FLOAT_PIXEL_DATA).is_some(),
+        photometric: text(set, tags::PHOTOMETRIC_INTERPRETATION),
+        planar: whole(tags::PLANAR_CONFIGURATION) == Some(1),
+    })
+}
+
+/// Rejects picture sizes and bit depths that cannot be read.
+fn check_format(format: &PixelFormat) -> Result<(), String> {
+    let PixelFormat {
+        rows,
+        columns,
+        samples,
+        allocated,
+        stored,
+        high_bit,
+        ..
+    } = *format;
+    if rows == 0 || columns == 0 {
+        return Err(format!(
+            "declares a picture of {columns} x {rows} pixels; its header is damaged"
+        ));
+    }
+    if !matches!(samples, 1 | 3 | 4)
+        || !matches!(allocated, 1 | 8 | 16 | 32 | 64)
+        || allocated == 64 && !format.float
+    {
+        return Err(format!(
+            "stores {samples} samples of {allocated} bits per pixel, which cannot be read"
+        ));
+    }
+    if stored == 0 || stored > allocated || high_bit >= allocated || high_bit + 1 < stored {
+        return Err(format!(
+            "has {stored} bits stored of {allocated} allocated with high bit {high_bit}; its header is damaged"
+        ));
+    }
+    Ok(())
+}
+
+/// Maximum number of frames that the object's bytes can contain.
+fn max_frames(source: &ObjectLocation, syntax: &str, format: &PixelFormat) -> u64 {
+    let ratio = max_compression_ratio(syntax, format.frame_bytes());
+    let most = if ratio <= max_compression_ratio(DEFLATED, 0) && format.allocated > 1 {
+        source.bytes().saturating_mul(ratio) / format.frame_bytes() as u64
+    } else {
+        // A compressed frame has a header of eight bytes; single bits are not padded.
+        source.bytes().saturating_mul(8)
+            / if format.allocated == 1 {
+                format.values() as u64
+            } else {
+                64
+            }
+    };
+    most.max(1)
+}
+
+/// Smallest and largest stored value that mean "no value".
+fn padding(set: &InMemDicomObject, format: &PixelFormat) -> Option<[f64; 2]> {
+    let value = number(set, tags::PIXEL_PADDING_VALUE)?;
+    let limit = number(set, tags::PIXEL_PADDING_RANGE_LIMIT).unwrap_or(value);
+    // The value may have been read with the other pixel representation.
+    let signed = |v: f64| {
+        if format.signed && v > 32_767.0 && format.allocated == 16 {
+            v - 65_536.0
+        } else {
+            v
+        }
+    };
+    let (a, b) = (signed(value), signed(limit));
+    Some([a.min(b), a.max(b)])
+}
+
+/// The distance between slices that the object states.
+fn slice_distance(set: &InMemDicomObject) -> SliceDistance {
+    let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
+    let own = set
+        .get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE)
+        .and_then(|e| e.items())
+        .and_then(|items| items.first());
+    let measures = [own, shared]
+        .into_iter()
+        .flatten()
+        .find_map(|s| item(s, tags::PIXEL_MEASURES_SEQUENCE));
+    SliceDistance::of(measures.unwrap_or(set))
+}
+
+/// What the pixels of a segmentation mean, given its SOP class.
+fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
+    match text(set, tags::SEGMENTATION_TYPE).as_str() {
+        "LABELMAP" => SegmentsAs::Labels,
+        _ if class == SEGMENTATION[1] => SegmentsAs::Labels,
+        "FRACTIONAL" => SegmentsAs::Shares(whole_number(set, tags::MAXIMUM_FRACTIONAL_VALUE).unwrap_or(255)),
+        _ => SegmentsAs::Shares(1),
+    }
+}
+
+/// The object that a header describes; none if it has no pixels.
+fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<Option<Object>> {
+    let set = &data.elements;
+    let (Some(format), Some(pixels)) = (pixel_format(set), data.pixels) else {
+        return Ok(None);
+    };
+    let fail = |problem: String| Error::file(source.path(), problem);
+    check_format(&format).map_err(fail)?;
+    let class = text(set, tags::SOP_CLASS_UID);
+    let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
+    let pictures = picture_count(set, max_frames(&source, &syntax, &format)).map_err(fail)?;
+    let mosaic = Mosaic::of(set, &format).map_err(fail)?;
+    let frames = frames(set, &format, segmentation, pictures, mosaic.as_ref()).map_err(fail)?;
+    Ok(Some(Object {
+        instance: text(set, tags::SOP_INSTANCE_UID),
+        segments_as: segments_as(set, &class),
+        series: text(set, tags::SERIES_INSTANCE_UID),
+        series_number: number(set, tags::SERIES_NUMBER).map(|n| n as i64),
+        description: text(set, tags::SERIES_DESCRIPTION),
+        modality: text(set, tags::MODALITY),
+        patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
+        padding: padding(set, &format).filter(|_| !segmentation),
+        pictures,
+        pixels,
+        tile: mosaic.map(|m| m.tile),
+        slice_distance: slice_distance(set),
+        reference: text(set, tags::FRAME_OF_REFERENCE_UID),
+        modality_table: item(set, tags::MODALITY_LUT_SEQUENCE).is_some(),
+        segmentation,
+        segments: if segmentation { segments(set) } else { Vec::new() },
+        palette: if format.photometric == "PALETTE COLOR" {
+            palette(set, format.signed)
+        } else {
+            None
+        },
+        frames,
+        format,
+        syntax,
+        source,
+    }))
+}
+
+/// Names and colours of segments.
+fn segments(set: &InMemDicomObject) -> Vec<Label> {
+    let items = set
+        .get(tags::SEGMENT_SEQUENCE)
+        .and_then(|e| e.items())
+        .unwrap_or(&[]);
+    items
+        .iter()
+        .filter_map(|segment| {
+            let value = number(segment, tags::SEGMENT_NUMBER)? as u32;
+            let lab = vector::<3>(segment, tags::RECOMMENDED_DISPLAY_CIE_LAB_VALUE);
+            Some(Label {
+                value,
+                name: text(segment, tags::SEGMENT_LABEL),
+                color: lab.map(rgb_of_lab),
+            })
+        })
+        .collect()
+}
+
+/// sRGB of a colour in DICOM's 16-bit CIELab (white point D50). Source: DICOM PS3.3 C.10.7.1.1,
+/// PS3.15 B.
+fn rgb_of_lab([l, a, b]: [f64; 3]) -> [u8; 3] {
+    let (l, a, b) = (
+        l / 65_535.0 * 100.0,
+        a / 65_535.0 * 255.0 - 128.0,
+        b / 65_535.0 * 255.0 - 128.0,
+    );
+    let fy = (l + 16.0) / 116.0;
+    let inverse = |t: f64| {
+        if t > 6.0 / 29.0 {
+            t * t * t
+        } else {
+            3.0 * (6.0f64 / 29.0).powi(2) * (t - 4.0 / 29.0)
+        }
+    };
+    let (x, y, z) = (
+        0.9642 * inverse(fy + a / 500.0),
+        inverse(fy),
+        0.8249 * inverse(fy - b / 200.0),
+    );
+    // D50 to linear sRGB (Bradford).
+    let linear = [
+        3.133_856 * x - 1.616_867 * y - 0.490_615 * z,
+        -0.978_768 * x + 1.916_142 * y + 0.033_454 * z,
+        0.071_945 * x - 0.228_991 * y + 1.405_243 * z,
+    ];
+    linear.map(|v| {
+        let v = v.clamp(0.0, 1.0);
+        let encoded = if v <= 0.003_130_8 {
+            12.92 * v
+        } else {
+            1.055 * v.powf(1.0 / 2.4) - 0.055
+        };
+        (encoded * 255.0 + 0.5) as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_of_segments() {
+        // Grey of half lightness, and the most saturated red of sRGB (L 54.3, a 80.8, b 69.9 for
+        // D50).
+        let coded = |l: f64, a: f64, b: f64| {
+            [
+                l / 100.0 * 65_535.0,
+                (a + 128.0) / 255.0 * 65_535.0,
+                (b + 128.0) / 255.0 * 65_535.0,
+            ]
+        };
+        let [r, g, b] = rgb_of_lab(coded(50.0, 0.0, 0.0));
+        assert!(
+            r.abs_diff(119) <= 1 && g.abs_diff(119) <= 1 && b.abs_diff(119) <= 1,
+            "{r} {g} {b}"
+        );
+        let [r, g, b] = rgb_of_lab(coded(54.29, 80.81, 69.89));
+        assert!(r > 252 && g < 8 && b < 8, "{r} {g} {b}");
+    }
+}
