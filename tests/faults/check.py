@@ -48,8 +48,8 @@ OPTIONS = {
 # Options of a transform.
 MAP_OPTIONS = {"volume": "--volume", "convention": "--convention", "invert": "--invert"}
 TRANSFORMS = (".mat", ".tfm", ".lta", ".1d", ".afni", ".fsl", ".xfm", ".h5", ".txt", ".x5")
-# Half the edge of the box around a point whose signed distance is sampled, mm.
-HALF_BOX_MM = 0.01
+# The grid on which the signed distance of a point is sampled, as a share of the mesh.
+CELL = 1 / 2000
 TIMEOUT_S = 120
 
 
@@ -172,7 +172,7 @@ class Case:
         self.wrong += labels_differ(report.get("label_names"), self.take("labels") or {})
         self.check_warnings(report.get("warnings", []))
         self.check_values(scratch)
-        self.check_distances(scratch)
+        self.check_distances(scratch, max(report.get("extent_mm") or [1.0]))
 
     def refused(self, run):
         """Whether there is nothing more to check because the file was refused, or should be."""
@@ -238,15 +238,14 @@ class Case:
         inside = voxels.ndim == 3 and all(0 <= a < n for a, n in zip(at, voxels.shape))
         return float(voxels[tuple(at)]) if inside else None
 
-    def check_distances(self, scratch):
+    def check_distances(self, scratch, extent_mm):
+        cell = CELL * extent_mm
         for *point, expected in self.take("sdf") or []:
             out = os.path.join(scratch, "sdf.nrrd")
-            corners = [p - HALF_BOX_MM for p in point] + [p + HALF_BOX_MM for p in point]
-            box = ",".join(repr(float(c)) for c in corners)
-            run = Run(
-                self.program, "sdf", self.path, "-o", out, "--exact", "--box", box, "-q",
-                "--resolution", "9",
-            )
+            corners = [p - 2 * cell for p in point] + [p + 2 * cell for p in point]
+            box = ",".join(f"{c:.9f}" for c in corners)
+            options = ["-q", "--exact", "--box", box, "--cell", f"{cell:.9f}"]
+            run = Run(self.program, "sdf", self.path, "-o", out, *options)
             if run.code != 0:
                 self.wrong.append(f"sdf: {run.problem()}")
                 return
