@@ -29,6 +29,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import unicodedata
 
 import nrrd
 import numpy as np
@@ -171,6 +172,7 @@ class Case:
         self.expect("volume_mm3", report.get("volume_mm3"), lambda f, e: near(f, e, 1e-4, 1e-6))
         self.wrong += labels_differ(report.get("label_names"), self.take("labels") or {})
         self.check_warnings(report.get("warnings", []))
+        self.check_characters(report)
         self.check_values(scratch)
         self.check_distances(scratch, max(report.get("extent_mm") or [1.0]))
 
@@ -191,6 +193,14 @@ class Case:
             return False
         self.left.clear()
         return True
+
+    def check_characters(self, report):
+        """No text of a file may reach the terminal with control characters."""
+        texts = [report.get("series", {}).get("description") or ""]
+        texts += (report.get("label_names") or {}).values()
+        for text in texts:
+            if any(unicodedata.category(c) == "Cc" for c in text):
+                self.wrong.append(f"control characters in {text!r}")
 
     def check_warnings(self, warnings):
         for fragment in self.take("warns") or []:
