@@ -15,7 +15,7 @@ import sys
 
 from dicom_cases.base import Cases
 
-KINDS = ("characters", "grouping",)
+KINDS = ("frames",)
 
 
 def main():
