@@ -1,0 +1,1 @@
+"""Kinds of faulty DICOM files, a module for each."""
