@@ -15,7 +15,7 @@ import sys
 
 from dicom_cases.base import Cases
 
-KINDS = ("frames",)
+KINDS = ("made_up", "notices")
 
 
 def main():

@@ -1,12 +1,13 @@
 """Objects of several frames: doses, nuclear medicine, clips, mosaics, palettes, counts of frames."""
 
 import numpy as np
-from pydicom.sequence import Sequence
+from pydicom.pixels import apply_color_lut
 
-from .base import MR, ORIGIN, SECONDARY, SPACING, apply, data_set, enhanced, expected_of
-from .base import frame_groups, image, multiframe, one_item, pattern, patterns, set_pixels
-from .encoding import Style, file_of
+from . import segmentations
+from .base import MR, ORIGIN, SPACING, data_set, encoded, enhanced, expected_of, frame_groups
+from .base import image, multiframe, one_item, opened, pattern, patterns
 from .csa import csa_header
+from .encoding import Style, file_of
 
 DOSE = "1.2.840.10008.5.1.4.1.1.481.2"
 NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
@@ -35,7 +36,7 @@ def doses(cases):
     relative = [0, 3, 6, 9]
     dose_case(cases, "relative", dose(relative), right, spacing)
     dose_case(cases, "absolute", dose([3 + v for v in relative]), right, spacing)
-    dose_case(cases, "descending", dose([-v for v in relative]), None or right[::-1], spacing,
+    dose_case(cases, "descending", dose([-v for v in relative]), right[::-1], spacing,
               [1.0, 2.0, 3.0 - 9.0])
     dose_case(cases, "absolute-descending", dose([3 - v for v in relative]), right[::-1], spacing,
               [1.0, 2.0, 3.0 - 9.0])
@@ -51,8 +52,6 @@ def doses(cases):
     dose_case(cases, "spacing-contradicts", dose(relative, SpacingBetweenSlices="7"), right, spacing)
     tilted = dict(ImageOrientationPatient=[0, 1, 0, 0, 0, 1])
     dose_case(cases, "sagittal", dose(relative, **tilted), right, spacing)
-    dose_case(cases, "feet-first", dose(relative, ImageOrientationPatient=[1, 0, 0, 0, -1, 0]), None or
-              right, spacing, direction=[[1, 0, 0], [0, -1, 0], [0, 0, -1]])
     dose_case(cases, "half-a-millimetre", dose([0, 0.5, 1, 1.5]), right, [0.6, 0.8, 0.5])
     dose_case(cases, "one-frame", dose([0]), patterns(1) * DOSE_SCALE, None)
     dose_case(cases, "relative-in-micrometres", dose([0, 0.003, 0.006, 0.009]), right, [0.6, 0.8, 0.003])
@@ -254,9 +253,22 @@ def palette(entries, first, bits, tables, **attributes):
     return {**out, "PhotometricInterpretation": "PALETTE COLOR", **attributes}
 
 
-def palette_case(cases, name, ds, voxels, tolerance=1, peer="PS3.3 C.7.6.3.1.5"):
+def words(ds):
+    """Descriptors of tables, whose representation depends on the pixels."""
     for keyword in [e.keyword for e in ds if e.keyword.endswith("LookupTableDescriptor")]:
         ds[keyword].VR = "US"
+    return ds
+
+
+def palette_case(cases, name, ds, voxels, tolerance=1, peer="PS3.3 C.7.6.3.1.5"):
+    read = opened(encoded(words(ds)))
+    try:
+        colors = apply_color_lut(read.pixel_array, read)
+        colors = colors / 257 if colors.max() > 255 else colors
+        if np.abs(colors - voxels.astype(float)).max() <= tolerance:
+            peer = "pydicom"
+    except Exception:
+        pass
     cases.one(f"palette-{name}", ds, expected_of(voxels[None].astype(float)), peer, tolerance=tolerance)
 
 
@@ -270,12 +282,8 @@ def palettes(cases):
     wide = palette(256, 0, 16, [t.tobytes() for t in sixteen])
     palette_case(cases, "16-bit", image(0, pixels=index, **wide), look(eight, index))
     # Eight bits in words of sixteen, as the standard has it for tables of 8 bits written as OW.
-    words = palette(256, 0, 8, [t.astype(np.uint16).tobytes() for t in eight])
-    palette_case(cases, "8-bit-in-words", image(0, pixels=index, **words), look(eight, index))
-    claimed = palette(256, 0, 16, [t.astype(np.uint16).tobytes() for t in eight])
-    palette_case(cases, "8-bit-claimed-16", image(0, pixels=index, **claimed), look(eight, index),
-                 peer="DCMTK and pydicom scale by the largest entry; PS3.3 C.7.6.3.1.5 note")
-    cases.list.pop()
+    padded = palette(256, 0, 8, [t.astype(np.uint16).tobytes() for t in eight])
+    palette_case(cases, "8-bit-in-words", image(0, pixels=index, **padded), look(eight, index))
     first = palette(20, 5, 8, [t[:20].tobytes() for t in eight])
     clipped = np.clip(index.astype(int) - 5, 0, 19)
     palette_case(cases, "first-mapped", image(0, pixels=index, **first), look(eight, clipped))
@@ -284,32 +292,19 @@ def palettes(cases):
     whole = np.stack([np.arange(65536), 65535 - np.arange(65536), np.full(65536, 257 * 9)])
     whole = whole.astype(np.uint16)
     large = pattern(7, 1) * 30
-    small = [t[: 65536] for t in whole]
-    ds = image(0, pixels=large, **palette(0, 0, 16, [t.tobytes() for t in segmented_all(small)]))
-    named = ("Red", "Green", "Blue")
-    for name in named:
-        data = getattr(ds, f"{name}PaletteColorLookupTableData")
-        delattr(ds, f"{name}PaletteColorLookupTableData")
-        setattr(ds, f"Segmented{name}PaletteColorLookupTableData", data)
-    palette_case(cases, "segmented-65536", ds, look(whole >> 8, large), peer="PS3.3 C.7.9.2")
+    segments = [linear(t, np.uint16) for t in whole]
+    ds = image(0, pixels=large, **palette(0, 0, 16, [s.tobytes() for s in segments]))
+    palette_case(cases, "segmented-65536", segmented(ds), look(whole >> 8, large), peer="PS3.3 C.7.9.2")
     ramp = np.stack([np.linspace(0, 255, 100), np.linspace(255, 0, 100), np.full(100, 9)]).round().astype(np.uint8)
     segments = [linear(t, np.uint8) for t in ramp]
     ds = image(0, pixels=index, **palette(100, 0, 8, [s.tobytes() for s in segments]))
-    for name in named:
-        data = getattr(ds, f"{name}PaletteColorLookupTableData")
-        delattr(ds, f"{name}PaletteColorLookupTableData")
-        setattr(ds, f"Segmented{name}PaletteColorLookupTableData", data)
-    palette_case(cases, "segmented-8-bit", ds, look(ramp, index), 2, "PS3.3 C.7.9.2")
+    palette_case(cases, "segmented-8-bit", segmented(ds), look(ramp, index), 2, "PS3.3 C.7.9.2")
     mapped = {k: v for k, v in plain.items() if k != "PhotometricInterpretation"}
     ds = image(0, **mapped, PixelPresentation="MIXED")
-    for keyword in [e.keyword for e in ds if e.keyword.endswith("LookupTableDescriptor")]:
-        ds[keyword].VR = "US"
-    cases.one("palette-supplemental", ds, expected_of(pattern(0)[None]), "PS3.3 C.7.6.19, the grey values")
+    cases.one("palette-supplemental", words(ds), expected_of(pattern(0)[None]), "PS3.3 C.7.6.19, the grey values")
     frames = np.stack([index, index + 100])
     ds = multiframe(frames, **plain, FrameTime="40", FrameIncrementPointer=0x00181063)
-    for keyword in [e.keyword for e in ds if e.keyword.endswith("LookupTableDescriptor")]:
-        ds[keyword].VR = "US"
-    cases.one("palette-clip", ds, expected_of(look(eight, frames[1])[None].astype(float), time_points=2),
+    cases.one("palette-clip", words(ds), expected_of(look(eight, frames[1])[None].astype(float), time_points=2),
               "PS3.3 C.7.6.3.1.5", tolerance=1, options={"time": 2})
 
 
@@ -318,9 +313,13 @@ def linear(table, dtype):
     return np.array([0, 1, table[0], 1, len(table) - 1, table[-1]], dtype)
 
 
-def segmented_all(tables):
-    """Whole tables of 65536 entries as segments; a linear segment has at most 65535."""
-    return [linear(t, np.uint16) for t in tables]
+def segmented(ds):
+    """The same tables under the names of segmented ones."""
+    for name in ("Red", "Green", "Blue"):
+        data = getattr(ds, f"{name}PaletteColorLookupTableData")
+        delattr(ds, f"{name}PaletteColorLookupTableData")
+        setattr(ds, f"Segmented{name}PaletteColorLookupTableData", data)
+    return ds
 
 
 def counts(cases):
@@ -351,18 +350,12 @@ def counts(cases):
     down = [frame_groups(k) for k in (3, 2, 1, 0)]
     cases.one("enhanced-frames-down", enhanced(down, patterns(4)[::-1].copy()),
               expected_of(patterns(4), SPACING, ORIGIN), "PS3.3 C.7.6.16.2.3")
-    missing = [frame_groups(k) for k in range(3)] + [data_set()]
-    ds = enhanced(missing, patterns(4))
-    ds.PerFrameFunctionalGroupsSequence = Sequence(missing[:3])
-    cases.one("enhanced-groups-of-three-of-four", ds, {"size": [6, 5, 4]}, "pydicom: four frames")
-    cases.list.pop()
     single_frames = [
         enhanced([frame_groups(k)], pattern(k)[None], SOPInstanceUID=f"1.2.3.4.{k}", InstanceNumber=k + 1)
         for k in range(4)
     ]
     cases.stack("enhanced-file-for-each-slice", single_frames, expected_of(patterns(4), SPACING, ORIGIN),
                 "PS3.3 A.36", series=1, time_points=1)
-    assert SECONDARY and apply and set_pixels
 
 
 def make(cases):
@@ -373,3 +366,4 @@ def make(cases):
     mosaics(cases)
     palettes(cases)
     counts(cases)
+    segmentations.make(cases)
