@@ -16,6 +16,7 @@ is right, and what must come out, each optional:
     transform  points [[x, y, z, X, Y, Z], ...], from the deformed point to its source: `incise map`
     any        warns, not_warns: fragments of warnings; error: fragments of the one message of a
                refusal; several forms in a list stand for any of them
+               either: a list of such expectations, of which one is enough
 
 A field that the command line cannot show is counted as not checked. Needs numpy and pynrrd.
 Exits with 1 if anything is wrong.
@@ -306,6 +307,13 @@ def sampled(voxels, header, point, vector=False):
 
 
 def check(program, folder, case):
+    """The case checked; of several expectations, with the first that holds, else the first."""
+    common = {name: value for name, value in case.items() if name != "either"}
+    checked = [check_one(program, folder, {**common, **more}) for more in case.get("either", [{}])]
+    return next((c for c in checked if not c.wrong), checked[0])
+
+
+def check_one(program, folder, case):
     with tempfile.TemporaryDirectory() as scratch:
         checked = Case(program, folder, case)
         try:

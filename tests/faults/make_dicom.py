@@ -15,7 +15,7 @@ import sys
 
 from dicom_cases.base import Cases
 
-KINDS = ("made_up", "notices")
+KINDS = ("un", "syntax", "characters", "grouping", "times", "frames", "made_up", "notices", "jpeg")
 
 
 def main():
