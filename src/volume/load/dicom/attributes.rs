@@ -65,7 +65,12 @@ impl<'a> FrameAttributes<'a> {
 
     /// Directions of increasing column and row.
     pub fn orientation(&self) -> Option<[DVec3; 2]> {
-        let v = self.stated::<6>(tags::PLANE_ORIENTATION_SEQUENCE, tags::IMAGE_ORIENTATION_PATIENT)?;
+        let v = self
+            .stated::<6>(tags::PLANE_ORIENTATION_SEQUENCE, tags::IMAGE_ORIENTATION_PATIENT)
+            .or_else(|| {
+                let group = self.group(tags::PLANE_ORIENTATION_VOLUME_SEQUENCE)?;
+                vector::<6>(group, tags::IMAGE_ORIENTATION_VOLUME)
+            })?;
         Some([
             DVec3::new(v[0], v[1], v[2]).normalize_or_zero(),
             DVec3::new(v[3], v[4], v[5]).normalize_or_zero(),
@@ -75,32 +80,42 @@ impl<'a> FrameAttributes<'a> {
     /// Centre of the first pixel, mm.
     pub fn position(&self) -> Option<DVec3> {
         self.stated::<3>(tags::PLANE_POSITION_SEQUENCE, tags::IMAGE_POSITION_PATIENT)
+            .or_else(|| {
+                let group = self.group(tags::PLANE_POSITION_VOLUME_SEQUENCE)?;
+                vector::<3>(group, tags::IMAGE_POSITION_VOLUME)
+            })
             .map(DVec3::from_array)
     }
 
     /// Whether the frame has a position of its own.
     pub fn has_own_position(&self) -> bool {
-        self.own
-            .and_then(|o| item(o, tags::PLANE_POSITION_SEQUENCE))
-            .is_some_and(|p| vector::<3>(p, tags::IMAGE_POSITION_PATIENT).is_some())
+        let has = |group: Tag, attribute: Tag| {
+            self.own
+                .and_then(|o| item(o, group))
+                .is_some_and(|p| vector::<3>(p, attribute).is_some())
+        };
+        has(tags::PLANE_POSITION_SEQUENCE, tags::IMAGE_POSITION_PATIENT)
+            || has(tags::PLANE_POSITION_VOLUME_SEQUENCE, tags::IMAGE_POSITION_VOLUME)
     }
 
-    /// Distance between columns and between rows, mm; 0 if not stated.
-    pub fn spacing(&self) -> [f64; 2] {
+    /// Distance between columns and between rows, mm (0 if not stated), and whether it is that in
+    /// the plane of the detector.
+    pub fn spacing(&self) -> ([f64; 2], bool) {
         let measures = self.group_or_object(tags::PIXEL_MEASURES_SEQUENCE);
-        let spacing = [
-            tags::PIXEL_SPACING,
-            tags::IMAGER_PIXEL_SPACING,
-            tags::NOMINAL_SCANNED_PIXEL_SPACING,
-        ]
-        .into_iter()
-        .find_map(|tag| vector::<2>(measures, tag).or_else(|| vector::<2>(self.object, tag)))
-        .filter(|s| s.iter().all(|v| *v > 0.0));
-        // Stored as the distance between rows, then between columns.
-        spacing.map_or_else(
-            || ultrasound_spacing(self.object).unwrap_or_default(),
-            |[rows, columns]| [columns, rows],
-        )
+        let stated = |tag: Tag| {
+            let spacing = vector::<2>(measures, tag).or_else(|| vector::<2>(self.object, tag));
+            // Stored as the distance between rows, then between columns.
+            spacing
+                .filter(|s| s.iter().all(|v| *v > 0.0))
+                .map(|[rows, columns]| [columns, rows])
+        };
+        let in_patient = stated(tags::PIXEL_SPACING).or_else(|| ultrasound_spacing(self.object));
+        if let Some(spacing) = in_patient {
+            return (spacing, false);
+        }
+        let of_detector = stated(tags::IMAGER_PIXEL_SPACING);
+        let nominal = stated(tags::NOMINAL_SCANNED_PIXEL_SPACING);
+        (of_detector.or(nominal).unwrap_or_default(), of_detector.is_some())
     }
 
     /// The rescale; none if neither slope nor intercept is stated. A missing slope, or 0, is 1.

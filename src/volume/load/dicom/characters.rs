@@ -92,12 +92,12 @@ impl CharacterSet {
 
 /// The set with a defined term.
 fn named(term: &str) -> Option<Set> {
+    // Its number, however the rest of it is spelt.
     let number = term
         .trim()
-        .trim_start_matches("ISO_IR")
-        .trim_start_matches("ISO 2022 IR")
-        .trim_start_matches(['_', ' ', '-'])
-        .trim();
+        .rsplit_once("IR")
+        .map_or(term, |(_, number)| number)
+        .trim_matches(['_', ' ', '-']);
     Some(Set::Plain(match number {
         "6" => return None,
         "13" => SHIFT_JIS,

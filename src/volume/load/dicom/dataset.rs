@@ -3,7 +3,7 @@
 use super::super::source::DEFLATE_LIMIT;
 use super::elements::{DataSet, Encoding, data_set};
 use super::location::{Bytes, ObjectLocation, ReadSeek};
-use super::syntax::{BIG_ENDIAN, DEFLATED, EXPLICIT, IMPLICIT};
+use super::syntax::{BIG_ENDIAN, DEFLATED, EXPLICIT, GE_BIG_ENDIAN_PIXELS, IMPLICIT};
 use crate::files::input;
 use crate::{Error, Result};
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
@@ -39,10 +39,14 @@ fn meta_offset(start: &[u8]) -> Option<u64> {
 }
 
 /// A data set without preamble and meta information, as written by older programs: it starts with
-/// group 0008.
+/// group 0008, or with the group length of a command, group 0000.
 fn bare_dataset(start: &[u8]) -> bool {
     if start.len() < 16 {
         return false;
+    }
+    if start[..4] == [0; 4] {
+        return start[4..8] == [4, 0, 0, 0] && start[12..16] == [0, 0, 2, 0]
+            || start[4..8] == *b"UL\x04\0" && start[12..14] == [0, 0];
     }
     let vr = start[4..6].iter().all(u8::is_ascii_uppercase);
     if start[..2] == [0, 8] {
@@ -86,8 +90,8 @@ pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let Some(offset) = meta_offset(&start) else {
         // The elements show their encoding.
         let explicit = start[4..6].iter().all(u8::is_ascii_uppercase);
-        let syntax = match (start[0], explicit) {
-            (0, _) => BIG_ENDIAN,
+        let syntax = match (start[1], explicit) {
+            (8, _) => BIG_ENDIAN,
             (_, true) => EXPLICIT,
             (_, false) => IMPLICIT,
         };
@@ -108,6 +112,7 @@ pub fn open(source: &ObjectLocation, most: u64) -> Result<Opened> {
     let (syntax, length) = meta(&mut reader).ok_or_else(damaged)?;
     reader.seek(SeekFrom::Start(offset + length)).map_err(io)?;
     if syntax == DEFLATED && !starts_with_group_8(&mut reader).map_err(io)? {
+        skip_zlib_header(&mut reader).map_err(io)?;
         let limit = most.min(source.bytes().saturating_mul(DEFLATE_LIMIT));
         let bytes = input::start_of(path, flate2::read::DeflateDecoder::new(reader), limit)?;
         let unpacked: Box<dyn ReadSeek> = Box::new(Cursor::new(bytes));
@@ -126,10 +131,21 @@ fn starts_with_group_8(reader: &mut Bytes) -> std::io::Result<bool> {
     Ok(reader.fill_buf()?.starts_with(&[8, 0]))
 }
 
+/// Skips the header of zlib, which some writers put before a deflated data set. Source: RFC 1950 2.2.
+fn skip_zlib_header(reader: &mut Bytes) -> std::io::Result<()> {
+    use std::io::BufRead;
+    if let [0x78, flags, ..] = reader.fill_buf()?
+        && (0x7800 + u16::from(*flags)).is_multiple_of(31)
+    {
+        reader.consume(2);
+    }
+    Ok(())
+}
+
 /// How a transfer syntax encodes elements; compressed ones are explicit.
 fn encoding(syntax: &str) -> Encoding {
     Encoding {
-        explicit: syntax != IMPLICIT,
+        explicit: syntax != IMPLICIT && syntax != GE_BIG_ENDIAN_PIXELS,
         big_endian: syntax == BIG_ENDIAN,
     }
 }

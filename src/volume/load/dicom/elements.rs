@@ -288,7 +288,7 @@ impl Parser<'_> {
         characters: &CharacterSet,
     ) -> Result<Value<InMemDicomObject>, String> {
         let meant = if vr == VR::UN { vr_of(tag) } else { vr };
-        let in_items = if vr == VR::UN {
+        let inner = if vr == VR::UN {
             Encoding::IMPLICIT
         } else {
             encoding
@@ -299,11 +299,11 @@ impl Parser<'_> {
                 self.skip_fragments(end)?;
                 return Ok(PrimitiveValue::Empty.into());
             }
-            return self.items(in_items, end, depth, characters);
+            return self.items(inner, end, depth, characters);
         }
         let value_end = self.position + u64::from(length);
         if meant == VR::SQ {
-            return self.items(in_items, value_end, depth, characters);
+            return self.items(inner, value_end, depth, characters);
         }
         if meant == VR::UN && length >= 8 {
             // A private sequence looks like one.
@@ -311,7 +311,7 @@ impl Parser<'_> {
             let head = self.take::<4>()?;
             self.back_to(start)?;
             if head == [0xfe, 0xff, 0x00, 0xe0] {
-                let read = self.items(in_items, value_end, depth, characters);
+                let read = self.items(inner, value_end, depth, characters);
                 let at_end = self.position == value_end;
                 self.back_to(value_end)?;
                 return Ok(read
@@ -325,7 +325,7 @@ impl Parser<'_> {
             return Ok(PrimitiveValue::Empty.into());
         }
         let bytes = self.value(length)?;
-        Ok(primitive(meant, &bytes, encoding.big_endian, characters).into())
+        Ok(primitive(meant, &bytes, inner.big_endian, characters).into())
     }
 
     /// The items of a sequence up to `end` or its delimiter.

@@ -58,6 +58,8 @@ pub struct Frame {
     pub along: [DVec3; 2],
     /// Distance between columns and between rows, mm.
     pub spacing: [f64; 2],
+    /// Whether this is the spacing in the plane of the detector.
+    pub at_detector: bool,
     pub rescale: Rescale,
     /// Segment of a frame in a segmentation.
     pub segment: u16,

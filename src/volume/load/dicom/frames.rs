@@ -16,8 +16,9 @@ const MAX_FRAMES: usize = 1 << 20;
 
 /// Number of pictures in an object; 0 and a missing number mean one.
 pub fn picture_count(set: &InMemDicomObject, most: u64) -> Result<usize, String> {
-    let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0).max(1.0);
-    if count > (MAX_FRAMES as u64).min(most) as f64 {
+    let count = number(set, tags::NUMBER_OF_FRAMES).unwrap_or(1.0);
+    let count = if count == 0.0 { 1.0 } else { count };
+    if !(1.0..=(MAX_FRAMES as u64).min(most) as f64).contains(&count) {
         return Err(format!(
             "declares {count} frames, which it cannot hold: it is truncated or its header is damaged; copy or export it again"
         ));
@@ -68,6 +69,7 @@ pub fn frames(
             let normal = along.cross(down).normalize_or_zero();
             position = Some(increments.place(n, position.unwrap_or(DVec3::ZERO), normal));
         }
+        let (spacing, at_detector) = attributes.spacing();
         let frame = Frame {
             object: 0,
             number: n,
@@ -77,7 +79,8 @@ pub fn frames(
             placed,
             location: number(set, tags::SLICE_LOCATION).filter(|_| count == 1),
             along: [along, down],
-            spacing: attributes.spacing(),
+            spacing,
+            at_detector,
             rescale: attributes
                 .rescale()
                 .filter(|_| format.samples == 1 && !segmentation)

@@ -139,6 +139,8 @@ fn has_vectors(set: &InMemDicomObject, count: usize) -> bool {
         tags::ANGULAR_VIEW_VECTOR,
         tags::ROTATION_VECTOR,
         tags::RR_INTERVAL_VECTOR,
+        tags::ENERGY_WINDOW_VECTOR,
+        tags::DETECTOR_VECTOR,
     ]
     .into_iter()
     .any(|tag| numbers(set, tag).is_some_and(|v| v.len() == count && v.iter().any(|e| *e != v[0])))
@@ -157,8 +159,9 @@ fn frame_times(set: &InMemDicomObject, count: usize) -> Option<Vec<f64>> {
         .iter()
         .any(|t| [tags::FRAME_TIME, tags::FRAME_TIME_VECTOR].contains(t));
     let class = text(set, tags::SOP_CLASS_UID);
-    let film = FILMS.contains(&class.as_str()) || text(set, tags::MODALITY) == "US" && pointers.is_empty();
-    if !by_time && !(film && pointers.is_empty()) {
+    let film = FILMS.contains(&class.as_str()) || text(set, tags::MODALITY) == "US";
+    let grouped = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).is_some();
+    if !by_time && (!film || grouped || !pointers.is_empty()) {
         return None;
     }
     if let Some(steps) = numbers(set, tags::FRAME_TIME_VECTOR).filter(|v| v.len() == count) {

@@ -236,6 +236,7 @@ fn warn_of_frames(
         .iter()
         .flatten()
         .map(|f| objects[f.object].reference.as_str())
+        .filter(|r| !r.is_empty())
         .collect();
     if references.len() > 1 {
         warnings.push(format!(

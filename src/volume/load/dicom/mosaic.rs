@@ -32,8 +32,10 @@ pub struct Mosaic {
 }
 
 impl Mosaic {
-    /// The mosaic that an object holds, if its image type says so; an error if the number of slices
-    /// is not stated.
+    /// The mosaic that an object holds, if its image type says so.
+    ///
+    /// # Errors
+    /// The number of slices is not stated, or not possible; a sentence that says so.
     pub fn of(set: &InMemDicomObject, format: &PixelFormat) -> Result<Option<Self>, String> {
         let is_mosaic = set
             .get(tags::IMAGE_TYPE)
@@ -49,7 +51,7 @@ impl Mosaic {
             .or_else(|| number(set, Tag(0x0019, 0x100a)))
             .filter(|n| (1.0..=4096.0).contains(n));
         let Some(slices) = slices.map(|n| n as usize) else {
-            return Err("is a mosaic that does not state its number of slices; export it as single slices or as enhanced MR".into());
+            return Err("is a mosaic that does not state its number of slices, which are shown side by side; export it as single slices or as enhanced MR".into());
         };
         let across = (slices as f64).sqrt().ceil() as usize;
         let tile = [
@@ -58,7 +60,7 @@ impl Mosaic {
         ];
         if tile.contains(&0) {
             return Err(format!(
-                "is a mosaic of {slices} slices in {} x {} pixels; its header is damaged",
+                "is a mosaic of {slices} slices in {} x {} pixels, which are shown side by side; its header is damaged",
                 format.columns, format.rows
             ));
         }

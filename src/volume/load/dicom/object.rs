@@ -1,7 +1,7 @@
 //! An object: the content of its header, with one [`Frame`] for every plane of pixels.
 
 use super::dataset::header;
-use super::element::{item, number, text, vector, whole_number};
+use super::element::{item, number, numbers, text, vector, whole_number};
 use super::elements::{DataSet, PixelElement};
 use super::frame::{Frame, PixelFormat};
 use super::frames::{frames, picture_count};
@@ -9,7 +9,7 @@ use super::increments::SliceDistance;
 use super::location::ObjectLocation;
 use super::mosaic::Mosaic;
 use super::palette::{Palette, palette};
-use super::syntax::{DEFLATED, max_compression_ratio};
+use super::syntax::{DEFLATED, GE_BIG_ENDIAN_PIXELS, max_compression_ratio};
 use crate::panic_guard::catch_panic;
 use crate::volume::Label;
 use crate::{Error, Result};
@@ -40,6 +40,8 @@ pub struct Object {
     pub modality: String,
     pub patient: [String; 2],
     pub format: PixelFormat,
+    /// What is irregular about its pictures.
+    pub warning: Option<String>,
     /// Number of pictures in the object.
     pub pictures: usize,
     /// Where its pixels are.
@@ -50,8 +52,10 @@ pub struct Object {
     pub slice_distance: SliceDistance,
     /// Frame of reference; may be empty.
     pub reference: String,
-    /// Whether a modality look-up table is to be applied to its values.
-    pub modality_table: bool,
+    /// A table of data values by stored value: the first stored value mapped, and the entries.
+    pub value_table: Option<(f64, Vec<f64>)>,
+    /// Whether high values are to be shown dark.
+    pub inverted: bool,
     pub segmentation: bool,
     pub segments_as: SegmentsAs,
     pub segments: Vec<Label>,
@@ -183,6 +187,28 @@ fn slice_distance(set: &InMemDicomObject) -> SliceDistance {
     SliceDistance::of(measures.unwrap_or(set))
 }
 
+/// The modality look-up table: the first stored value mapped, and the entries (PS3.3 C.11.1.1).
+fn value_table(table: &InMemDicomObject, signed: bool) -> Option<(f64, Vec<f64>)> {
+    let [_, first, bits] = vector::<3>(table, tags::LUT_DESCRIPTOR)?;
+    let first = if signed && first > 32_767.0 {
+        first - 65_536.0
+    } else {
+        first
+    };
+    let data = table.get(tags::LUT_DATA)?.value();
+    let entries = match (numbers(table, tags::LUT_DATA), data.to_bytes()) {
+        // Entries of 8 bits may be packed in words.
+        (_, Ok(bytes))
+            if bits <= 8.0 && bytes.len() < 2 * vector::<1>(table, tags::LUT_DESCRIPTOR)?[0] as usize =>
+        {
+            bytes.iter().map(|b| f64::from(*b)).collect()
+        }
+        (Some(words), _) => words,
+        _ => return None,
+    };
+    Some((first, entries))
+}
+
 /// What the pixels of a segmentation mean, given its SOP class.
 fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
     match text(set, tags::SEGMENTATION_TYPE).as_str() {
@@ -204,7 +230,10 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
     let pictures = picture_count(set, max_frames(&source, &syntax, &format)).map_err(fail)?;
-    let mosaic = Mosaic::of(set, &format).map_err(fail)?;
+    let (mosaic, warning) = match Mosaic::of(set, &format) {
+        Ok(mosaic) => (mosaic, None),
+        Err(warning) => (None, Some(warning)),
+    };
     let frames = frames(set, &format, segmentation, pictures, mosaic.as_ref()).map_err(fail)?;
     Ok(Some(Object {
         instance: text(set, tags::SOP_INSTANCE_UID),
@@ -215,12 +244,20 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         modality: text(set, tags::MODALITY),
         patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
         padding: padding(set, &format).filter(|_| !segmentation),
+        warning,
         pictures,
-        pixels,
+        pixels: PixelElement {
+            big_endian: pixels.big_endian || syntax == GE_BIG_ENDIAN_PIXELS,
+            ..pixels
+        },
         tile: mosaic.map(|m| m.tile),
         slice_distance: slice_distance(set),
         reference: text(set, tags::FRAME_OF_REFERENCE_UID),
-        modality_table: item(set, tags::MODALITY_LUT_SEQUENCE).is_some(),
+        value_table: item(set, tags::MODALITY_LUT_SEQUENCE)
+            .filter(|_| format.samples == 1 && !segmentation)
+            .and_then(|table| value_table(table, format.signed)),
+        inverted: format.photometric == "MONOCHROME1"
+            || format.photometric == "MONOCHROME2" && text(set, tags::PRESENTATION_LUT_SHAPE) == "INVERSE",
         segmentation,
         segments: if segmentation { segments(set) } else { Vec::new() },
         palette: if format.photometric == "PALETTE COLOR" {

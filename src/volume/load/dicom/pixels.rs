@@ -11,7 +11,7 @@ use super::dataset::{one_line, open};
 use super::frame::PixelFormat;
 use super::location::Bytes;
 use super::object::Object;
-use super::syntax::{JPEG, JPEG_2000, max_compression_ratio, syntax_name};
+use super::syntax::{GE_BIG_ENDIAN_PIXELS, JPEG, JPEG_2000, max_compression_ratio, syntax_name};
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result};
 use dicom_encoding::adapters::{PixelDataObject, RawPixelData};
@@ -35,16 +35,17 @@ pub fn check_syntax(object: &Object) -> Result<()> {
     let uid = object.syntax.as_str();
     let name = syntax_name(uid);
     let fail = |problem: String| Error::file(object.source.path(), problem);
-    let native = matches!(
-        TransferSyntaxRegistry.get(uid).map(|s| s.codec()),
-        Some(Codec::None | Codec::Dataset(_))
-    );
+    let native = uid == GE_BIG_ENDIAN_PIXELS
+        || matches!(
+            TransferSyntaxRegistry.get(uid).map(|s| s.codec()),
+            Some(Codec::None | Codec::Dataset(_))
+        );
     if object.format.allocated == 1 && !native {
         return Err(fail(format!(
             "holds packed single bits ({name}), which cannot be decoded; convert it to Explicit VR Little Endian"
         )));
     }
-    if JPEG.contains(&uid) || JPEG_2000.contains(&uid) {
+    if uid == GE_BIG_ENDIAN_PIXELS || JPEG.contains(&uid) || JPEG_2000.contains(&uid) {
         return Ok(());
     }
     match TransferSyntaxRegistry.get(uid).map(|s| s.codec()) {

@@ -145,6 +145,11 @@ fn warn_of_unstated(frames: &[&Frame], object: &Object, warnings: &mut Vec<Strin
     if frame.spacing[0] == 0.0 {
         warnings.push("does not state its pixel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
+    if frame.at_detector {
+        warnings.push(
+            "states its pixel spacing in the plane of the detector only; the patient is magnified there (use --spacing to set it)".into(),
+        );
+    }
     if !frame.stated[1] && frame.stated[0] {
         warnings.push(
             "does not state its image orientation; its axes are assumed to be left and posterior".into(),

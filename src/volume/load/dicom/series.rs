@@ -105,16 +105,37 @@ pub fn normal(frame: &Frame) -> DVec3 {
     frame.along[0].cross(frame.along[1]).normalize_or(DVec3::Z)
 }
 
+/// Modality and number of a series; objects may lack them.
+type SeriesNames<'a> = HashMap<&'a str, (&'a str, Option<i64>)>;
+
 /// What the frames of a series have in common, exactly.
-fn common(object: &Object) -> String {
+fn common(object: &Object, names: &SeriesNames) -> String {
     let f = &object.format;
-    let number = object.series_number.unwrap_or(0);
-    let (series, modality, segmentation) = (&object.series, &object.modality, object.segmentation);
+    let (series, segmentation) = (&object.series, object.segmentation);
+    let usual = names.get(series.as_str()).copied().unwrap_or_default();
+    let number = object.series_number.or(usual.1).unwrap_or(0);
+    let modality = match object.modality.as_str() {
+        "" => usual.0,
+        stated => stated,
+    };
     let [columns, rows] = object.plane();
     format!(
         "{series} {number} {modality} {segmentation} {rows} {columns} {} {}",
         f.samples, f.photometric
     )
+}
+
+/// The modalities and numbers that objects of each series state.
+fn names(objects: &[Object]) -> SeriesNames<'_> {
+    let mut names = SeriesNames::new();
+    for object in objects {
+        let entry = names.entry(&object.series).or_default();
+        if entry.0.is_empty() {
+            entry.0 = &object.modality;
+        }
+        entry.1 = entry.1.or(object.series_number);
+    }
+    names
 }
 
 /// Whether two frames have the same orientation and spacing.
@@ -127,9 +148,10 @@ fn is_like(a: &Frame, b: &Frame) -> bool {
 
 /// Groups frames by their common attributes, the largest series first.
 pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
+    let names = names(objects);
     let mut groups: BTreeMap<String, Vec<Vec<Frame>>> = BTreeMap::new();
     for object in objects {
-        let groups = groups.entry(common(object)).or_default();
+        let groups = groups.entry(common(object, &names)).or_default();
         for frame in &object.frames {
             match groups.iter_mut().rev().find(|g| is_like(&g[0], frame)) {
                 Some(group) => group.push(frame.clone()),

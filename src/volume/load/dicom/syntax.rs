@@ -10,6 +10,8 @@ pub const EXPLICIT: &str = "1.2.840.10008.1.2.1";
 pub const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
 /// Explicit VR big endian.
 pub const BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
+/// GE's private syntax: implicit VR little endian, but pixels in big endian.
+pub const GE_BIG_ENDIAN_PIXELS: &str = "1.2.840.113619.5.2";
 /// The JPEG syntaxes: baseline, extended, lossless.
 pub const JPEG: [&str; 6] = [
     "1.2.840.10008.1.2.4.50",
@@ -32,7 +34,7 @@ const SMALL_FRAME: usize = 64 << 20;
 /// The maximum compression ratio of pixels in a transfer syntax, for frames of a given size.
 pub fn max_compression_ratio(syntax: &str, frame_bytes: usize) -> u64 {
     match syntax {
-        IMPLICIT | EXPLICIT | BIG_ENDIAN => 1,
+        IMPLICIT | EXPLICIT | BIG_ENDIAN | GE_BIG_ENDIAN_PIXELS => 1,
         DEFLATED => DEFLATE_LIMIT,
         // A run of 128 takes two bytes.
         "1.2.840.10008.1.2.5" => 64,

@@ -20,11 +20,13 @@ pub struct TimeKey {
     pub runs_on: bool,
     /// Whether its numbers count from an arbitrary zero, so that only differences are shown.
     pub relative: bool,
+    /// Whether its values have no natural order.
+    pub is_unordered: bool,
     read: fn(&FrameAttributes) -> Option<KeyValue>,
 }
 
 /// The keys, the most telling first.
-pub static KEYS: [TimeKey; 27] = [
+pub static KEYS: [TimeKey; 34] = [
     key("dimension index", dimension_index),
     key("temporal position", |a| {
         first(&[
@@ -54,7 +56,10 @@ pub static KEYS: [TimeKey; 27] = [
     }),
     key("echo number", |a| first(&[a.number(tags::ECHO_NUMBERS)])),
     key("b-value (s/mm²)", b_value),
-    key("diffusion direction", diffusion_direction),
+    TimeKey {
+        is_unordered: true,
+        ..key("diffusion direction", diffusion_direction)
+    },
     key("inversion time (ms)", |a| {
         first(&[
             a.in_group(tags::MR_MODIFIER_SEQUENCE, tags::INVERSION_TIMES),
@@ -65,6 +70,15 @@ pub static KEYS: [TimeKey; 27] = [
         first(&[
             a.in_group(tags::MR_TIMING_AND_RELATED_PARAMETERS_SEQUENCE, tags::FLIP_ANGLE),
             a.number(tags::FLIP_ANGLE),
+        ])
+    }),
+    key("repetition time (ms)", |a| {
+        first(&[
+            a.in_group(
+                tags::MR_TIMING_AND_RELATED_PARAMETERS_SEQUENCE,
+                tags::REPETITION_TIME,
+            ),
+            a.number(tags::REPETITION_TIME),
         ])
     }),
     key("tube voltage (kV)", |a| first(&[a.number(tags::KVP)])),
@@ -110,9 +124,22 @@ pub static KEYS: [TimeKey; 27] = [
     clocked("content time (s)", |a| {
         clock(a.object, tags::CONTENT_DATE, tags::CONTENT_TIME).map(KeyValue::Number)
     }),
-    key("frame of reference", |a| {
-        some_text(text(a.object, tags::FRAME_OF_REFERENCE_UID))
+    key("sequence name", |a| {
+        some_text(text(a.object, tags::SEQUENCE_NAME))
     }),
+    key("scan options", |a| some_text(text(a.object, tags::SCAN_OPTIONS))),
+    key("contrast agent", |a| {
+        some_text(text(a.object, tags::CONTRAST_BOLUS_AGENT))
+    }),
+    key("kernel", |a| some_text(text(a.object, tags::CONVOLUTION_KERNEL))),
+    key("units", |a| some_text(text(a.object, tags::UNITS))),
+    key("comment", |a| some_text(text(a.object, tags::IMAGE_COMMENTS))),
+    TimeKey {
+        is_unordered: true,
+        ..key("frame of reference", |a| {
+            some_text(text(a.object, tags::FRAME_OF_REFERENCE_UID))
+        })
+    },
     running("instance number", |a| {
         let instance = a.number(tags::INSTANCE_NUMBER)?;
         Some(KeyValue::Number(instance))
@@ -124,6 +151,7 @@ const fn key(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyValue>)
         name,
         runs_on: false,
         relative: false,
+        is_unordered: false,
         read,
     }
 }
@@ -133,6 +161,7 @@ const fn running(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyVal
         name,
         runs_on: true,
         relative: false,
+        is_unordered: false,
         read,
     }
 }
@@ -142,6 +171,7 @@ const fn clocked(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyVal
         name,
         runs_on: true,
         relative: true,
+        is_unordered: false,
         read,
     }
 }

@@ -111,7 +111,25 @@ impl Divider<'_> {
             rank += usize::from(order(of(pair[0]), of(pair[1])).is_ne());
             ranks[pair[1]] = rank;
         }
+        if KEYS[key].is_unordered {
+            self.rank_by_instance(&mut ranks, rank + 1);
+        }
         (ranks, rank + 1)
+    }
+
+    /// Ranks values that have no order by their first instance number.
+    fn rank_by_instance(&self, ranks: &mut [usize], count: usize) {
+        let mut first = vec![f64::INFINITY; count];
+        for (frame, rank) in self.frames.iter().zip(&*ranks) {
+            first[*rank] = first[*rank].min(frame.instance.unwrap_or(f64::INFINITY));
+        }
+        let mut by_instance: Vec<usize> = (0..count).collect();
+        by_instance.sort_by(|a, b| first[*a].total_cmp(&first[*b]));
+        let mut new = vec![0; count];
+        for (n, rank) in by_instance.into_iter().enumerate() {
+            new[rank] = n;
+        }
+        ranks.iter_mut().for_each(|r| *r = new[*r]);
     }
 
     /// Divides groups by the values of a key, if these tell frames of a stack apart and are not

@@ -6,7 +6,7 @@ use super::frame::{Frame, PixelFormat};
 use super::object::{Object, SegmentsAs};
 use super::palette::Palette;
 use super::pixels::{self, Pixel, Pixels, decode};
-use super::syntax::{BIG_ENDIAN, DEFLATED, EXPLICIT, IMPLICIT};
+use super::syntax::{BIG_ENDIAN, DEFLATED, EXPLICIT, GE_BIG_ENDIAN_PIXELS, IMPLICIT};
 use crate::{ByteProgress, Error, Result, Watch};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -49,9 +49,10 @@ impl DecodeJob<'_> {
     /// Whether the same stored value means the same in all frames.
     pub fn has_one_scale(&self) -> bool {
         let padding = self.object().padding;
-        self.frames
-            .iter()
-            .all(|f| f.rescale == self.frames[0].rescale && self.objects[f.object].padding == padding)
+        self.frames.iter().all(|f| {
+            let object = &self.objects[f.object];
+            f.rescale == self.frames[0].rescale && object.padding == padding && object.value_table.is_none()
+        })
     }
 
     /// All values, and their number per voxel: labels, scalars, or red, green and blue.
@@ -64,7 +65,11 @@ impl DecodeJob<'_> {
             return Ok((self.colors(warnings)?.into(), 3));
         }
         if !self.has_one_scale() {
-            warnings.push("its slices have different rescale slopes, intercepts or padding values; values are stored as 32-bit floats".into());
+            warnings.push(if self.object().value_table.is_some() {
+                "has a modality look-up table, which is applied; values are stored as 32-bit floats".into()
+            } else {
+                "its slices have different rescale slopes, intercepts or padding values; values are stored as 32-bit floats".into()
+            });
             return Ok((self.scaled()?, 1));
         }
         let values: StoredValues = match self.scalar() {
@@ -191,11 +196,16 @@ impl DecodeJob<'_> {
     /// Data values, where frames have different scales.
     fn scaled(&self) -> Result<StoredValues> {
         let value = |frame: &Frame, v: f32| {
-            let nothing = self.objects[frame.object]
+            let object = &self.objects[frame.object];
+            let nothing = object
                 .padding
                 .is_some_and(|[low, high]| (low..=high).contains(&f64::from(v)));
             if nothing {
                 f32::NAN
+            } else if let Some((first, entries)) = &object.value_table {
+                // Values beyond the table take its first or last entry.
+                let entry = (f64::from(v) - first).clamp(0.0, entries.len() as f64 - 1.0);
+                entries[entry as usize] as f32
             } else {
                 (f64::from(v) * frame.rescale.slope + frame.rescale.intercept) as f32
             }
@@ -280,10 +290,8 @@ impl DecodeJob<'_> {
     }
 
     fn uncompressed(&self) -> bool {
-        matches!(
-            self.object().syntax.as_str(),
-            IMPLICIT | EXPLICIT | BIG_ENDIAN | DEFLATED
-        )
+        [IMPLICIT, EXPLICIT, BIG_ENDIAN, DEFLATED, GE_BIG_ENDIAN_PIXELS]
+            .contains(&self.object().syntax.as_str())
     }
 
     /// Segments as labels; where several overlap, the last one wins.

@@ -105,10 +105,7 @@ pub fn volume(
         &slices,
         warnings,
     );
-    if object.modality_table {
-        warnings
-            .push("has a modality look-up table, which is not applied; its stored values are shown".into());
-    }
+    warnings.extend(object.warning.clone());
     let mut image = Image::new("DICOM", voxels, size, placement.world_from_voxel);
     image.components = components;
     image.rescale = if has_one_scale && components == 1 {
@@ -116,9 +113,16 @@ pub fn volume(
     } else {
         Rescale::NONE
     };
-    image.inverted = format.photometric == "MONOCHROME1";
+    image.inverted = object.inverted;
     if image.inverted {
-        warnings.push("shows high values dark (MONOCHROME1); its values are as stored".into());
+        warnings.push(format!(
+            "is meant to be shown inverted, high values dark ({}); its values are as stored",
+            if format.photometric == "MONOCHROME1" {
+                "MONOCHROME1"
+            } else {
+                "presentation shape INVERSE"
+            }
+        ));
     }
     image.padding = object.padding.filter(|_| components == 1 && has_one_scale);
     if object.segmentation {
