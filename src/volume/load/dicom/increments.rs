@@ -160,8 +160,10 @@ fn frame_times(set: &InMemDicomObject, count: usize) -> Option<Vec<f64>> {
         .any(|t| [tags::FRAME_TIME, tags::FRAME_TIME_VECTOR].contains(t));
     let class = text(set, tags::SOP_CLASS_UID);
     let film = FILMS.contains(&class.as_str()) || text(set, tags::MODALITY) == "US";
-    let grouped = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).is_some();
-    if !by_time && (!film || grouped || !pointers.is_empty()) {
+    // An object that places its frames is a volume.
+    let places = set.get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE).is_some()
+        || set.get(tags::SPACING_BETWEEN_SLICES).is_some();
+    if !by_time && (!film || places || !pointers.is_empty()) {
         return None;
     }
     if let Some(steps) = numbers(set, tags::FRAME_TIME_VECTOR).filter(|v| v.len() == count) {

@@ -428,7 +428,8 @@ fn unpacked(object: &Object, compressed: &[u8]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Whether a JPEG picture declares YCbCr (true) or RGB, by its JFIF or Adobe marker.
+/// Whether a JPEG picture declares YCbCr (true) or RGB: by its JFIF or Adobe marker, by the names of
+/// its components, or by chroma of a lower resolution.
 fn declared_color(compressed: &[u8]) -> Option<bool> {
     let mut at = 2;
     loop {
@@ -442,6 +443,15 @@ fn declared_color(compressed: &[u8]) -> Option<bool> {
         match marker {
             [0xff, 0xee] if value.starts_with(b"Adobe") => return value.get(11).map(|t| *t == 1),
             [0xff, 0xe0] if value.starts_with(b"JFIF") => return Some(true),
+            [0xff, 0xc0..=0xc2] if value.get(5) == Some(&3) => {
+                let components: Vec<&[u8]> = value[6..].chunks_exact(3).collect();
+                let [a, b, c] = components[..] else { return None };
+                return match [a[0], b[0], c[0]] {
+                    [b'R', b'G', b'B'] => Some(false),
+                    _ if a[1] != b[1] || b[1] != c[1] => Some(true),
+                    _ => None,
+                };
+            }
             [0xff, 0xda] => return None,
             [0xff, _] => at += 2 + length,
             _ => return None,
@@ -464,7 +474,8 @@ pub fn contradicting_color(object: &Object) -> Option<&'static str> {
 }
 
 fn jpeg(format: &PixelFormat, compressed: &[u8]) -> Result<Vec<u8>, String> {
-    let mut decoder = jpeg_decoder::Decoder::new(compressed);
+    // Some writers omit the marker of the end.
+    let mut decoder = jpeg_decoder::Decoder::new(compressed.chain(&[0xff, 0xd9][..]));
     if format.samples == 3 {
         // What the picture itself declares takes precedence over the header, and this over the
         // decoder's guess.

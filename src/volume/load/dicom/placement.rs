@@ -155,7 +155,7 @@ fn warn_of_unstated(frames: &[&Frame], object: &Object, warnings: &mut Vec<Strin
             "does not state its image orientation; its axes are assumed to be left and posterior".into(),
         );
     }
-    if !frame.stated[0] {
+    if frames.iter().any(|f| !f.stated[0]) {
         let order = match frames {
             [_] => "",
             _ if frame.position.is_some() => "slices are in the order of the file, and ",

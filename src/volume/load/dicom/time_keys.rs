@@ -25,6 +25,10 @@ pub struct TimeKey {
     read: fn(&FrameAttributes) -> Option<KeyValue>,
 }
 
+pub const ACQUISITION_NUMBER: &str = "acquisition number";
+pub const ACQUISITION_TIME: &str = "acquisition time (s)";
+pub const INSTANCE_NUMBER: &str = "instance number";
+
 /// The keys, the most telling first.
 pub static KEYS: [TimeKey; 34] = [
     key("dimension index", dimension_index),
@@ -114,13 +118,13 @@ pub static KEYS: [TimeKey; 34] = [
         first(&[a.number(tags::FRAME_REFERENCE_TIME)])
     }),
     key("image type", image_type),
-    key("acquisition number", |a| {
+    key(ACQUISITION_NUMBER, |a| {
         first(&[
             a.in_group(tags::FRAME_CONTENT_SEQUENCE, tags::FRAME_ACQUISITION_NUMBER),
             a.number(tags::ACQUISITION_NUMBER),
         ])
     }),
-    clocked("acquisition time (s)", acquisition_time),
+    clocked(ACQUISITION_TIME, acquisition_time),
     clocked("content time (s)", |a| {
         clock(a.object, tags::CONTENT_DATE, tags::CONTENT_TIME).map(KeyValue::Number)
     }),
@@ -140,7 +144,7 @@ pub static KEYS: [TimeKey; 34] = [
             some_text(text(a.object, tags::FRAME_OF_REFERENCE_UID))
         })
     },
-    running("instance number", |a| {
+    running(INSTANCE_NUMBER, |a| {
         let instance = a.number(tags::INSTANCE_NUMBER)?;
         Some(KeyValue::Number(instance))
     }),

@@ -2,7 +2,7 @@
 //! attributes that differ, never by the names of files.
 
 use super::frame::{Frame, KeyValue};
-use super::time_keys::KEYS;
+use super::time_keys::{ACQUISITION_NUMBER, ACQUISITION_TIME, INSTANCE_NUMBER, KEYS};
 use serde_json::{Value, json};
 use std::cmp::Ordering;
 use std::collections::{HashMap, HashSet};
@@ -112,21 +112,38 @@ impl Divider<'_> {
             ranks[pair[1]] = rank;
         }
         if KEYS[key].is_unordered {
-            self.rank_by_instance(&mut ranks, rank + 1);
+            self.rank_by_first(&mut ranks, rank + 1);
         }
         (ranks, rank + 1)
     }
 
-    /// Ranks values that have no order by their first instance number.
-    fn rank_by_instance(&self, ranks: &mut [usize], count: usize) {
-        let mut first = vec![f64::INFINITY; count];
+    /// Ranks values that have no order by the first frame that has them: by its acquisition, then its
+    /// instance number.
+    fn rank_by_first(&self, ranks: &mut [usize], count: usize) {
+        let mut first = vec![[f64::INFINITY; 3]; count];
         for (frame, rank) in self.frames.iter().zip(&*ranks) {
-            first[*rank] = first[*rank].min(frame.instance.unwrap_or(f64::INFINITY));
+            let numbers = [ACQUISITION_NUMBER, ACQUISITION_TIME, INSTANCE_NUMBER].map(|name| {
+                let value = frame
+                    .keys
+                    .iter()
+                    .find(|(k, _)| KEYS[usize::from(*k)].name == name);
+                match value {
+                    Some((_, KeyValue::Number(n))) => *n,
+                    _ => f64::INFINITY,
+                }
+            });
+            for (least, number) in first[*rank].iter_mut().zip(numbers) {
+                *least = least.min(number);
+            }
         }
-        let mut by_instance: Vec<usize> = (0..count).collect();
-        by_instance.sort_by(|a, b| first[*a].total_cmp(&first[*b]));
+        let mut by_first: Vec<usize> = (0..count).collect();
+        by_first.sort_by(|a, b| {
+            let pairs = first[*a].iter().zip(&first[*b]);
+            let order = pairs.map(|(a, b)| a.total_cmp(b)).find(|o| o.is_ne());
+            order.unwrap_or(Ordering::Equal)
+        });
         let mut new = vec![0; count];
-        for (n, rank) in by_instance.into_iter().enumerate() {
+        for (n, rank) in by_first.into_iter().enumerate() {
             new[rank] = n;
         }
         ranks.iter_mut().for_each(|r| *r = new[*r]);
