@@ -42,7 +42,8 @@ def doses(cases):
               [1.0, 2.0, 3.0 - 9.0])
     dose_case(cases, "uneven", dose([0, 3, 6, 12]), right, None, warns=[["missing", "varies", "uneven"]])
     thirty_two = patterns(4, dtype=np.uint32) * 1000003
-    dose_case(cases, "32-bit", dose(relative, thirty_two, DoseGridScaling="1.5e-8"), thirty_two * 1.5e-8, spacing)
+    dose_case(cases, "32-bit", dose(relative, thirty_two, DoseGridScaling="1.5e-8"), thirty_two * 1.5e-8,
+              spacing)
     dose_case(cases, "scale-1", dose(relative, DoseGridScaling="1.0"), patterns(4), spacing)
     dose_case(cases, "error-signed", dose(relative, patterns(4, dtype=np.int16) - 200, DoseType="ERROR"),
               (patterns(4, dtype=np.int16) - 200) * DOSE_SCALE, spacing)
@@ -295,17 +296,19 @@ def palettes(cases):
     segments = [linear(t, np.uint16) for t in whole]
     ds = image(0, pixels=large, **palette(0, 0, 16, [s.tobytes() for s in segments]))
     palette_case(cases, "segmented-65536", segmented(ds), look(whole >> 8, large), peer="PS3.3 C.7.9.2")
-    ramp = np.stack([np.linspace(0, 255, 100), np.linspace(255, 0, 100), np.full(100, 9)]).round().astype(np.uint8)
+    ramp = np.stack([np.linspace(0, 255, 100), np.linspace(255, 0, 100), np.full(100, 9)])
+    ramp = ramp.round().astype(np.uint8)
     segments = [linear(t, np.uint8) for t in ramp]
     ds = image(0, pixels=index, **palette(100, 0, 8, [s.tobytes() for s in segments]))
     palette_case(cases, "segmented-8-bit", segmented(ds), look(ramp, index), 2, "PS3.3 C.7.9.2")
     mapped = {k: v for k, v in plain.items() if k != "PhotometricInterpretation"}
     ds = image(0, **mapped, PixelPresentation="MIXED")
-    cases.one("palette-supplemental", words(ds), expected_of(pattern(0)[None]), "PS3.3 C.7.6.19, the grey values")
+    cases.one("palette-supplemental", words(ds), expected_of(pattern(0)[None]),
+              "PS3.3 C.7.6.19, the grey values")
     frames = np.stack([index, index + 100])
     ds = multiframe(frames, **plain, FrameTime="40", FrameIncrementPointer=0x00181063)
-    cases.one("palette-clip", words(ds), expected_of(look(eight, frames[1])[None].astype(float), time_points=2),
-              "PS3.3 C.7.6.3.1.5", tolerance=1, options={"time": 2})
+    second = expected_of(look(eight, frames[1])[None].astype(float), time_points=2)
+    cases.one("palette-clip", words(ds), second, "PS3.3 C.7.6.3.1.5", tolerance=1, options={"time": 2})
 
 
 def linear(table, dtype):

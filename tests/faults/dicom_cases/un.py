@@ -155,7 +155,8 @@ def make(cases):
     stack(cases, "big-endian-geometry", unknown(*GEOMETRY), Style(big=True))
     stack(cases, "big-endian-pixels", unknown(*PIXELS), Style(big=True))
     stack(cases, "spaced-decimals", unknown(*GEOMETRY), datasets=slices(
-        PixelSpacing=[0.8000000000001, 0.6000000000001], ImageOrientationPatient=["1", "0", "-0.0", "0", "+1", "0"]
+        PixelSpacing=[0.8000000000001, 0.6000000000001],
+        ImageOrientationPatient=["1", "0", "-0.0", "0", "+1", "0"],
     ))
     stack(cases, "empty-rescale", unknown("RescaleSlope", "RescaleIntercept"), datasets=[
         image(k, RescaleSlope="", RescaleIntercept="") for k in range(3)
