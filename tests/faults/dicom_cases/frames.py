@@ -128,16 +128,28 @@ def nuclear_medicine(cases):
                   FrameIncrementPointer=[0x00540010, 0x00540020], EnergyWindowVector=[1, 2],
                   NumberOfEnergyWindows=2, DetectorVector=[1, 1], NumberOfDetectors=1)
     energy = np.stack([pattern(0, t) for t in range(2)])
-    by_time(cases, "nm-energy-windows", nuclear(energy, **planar), 1, 2, spacing=None)
+    times_or_series(cases, "nm-energy-windows", nuclear(energy, **planar))
     detectors = {**planar, "EnergyWindowVector": [1, 1], "DetectorVector": [1, 2], "NumberOfDetectors": 2,
                  "NumberOfEnergyWindows": 1}
-    by_time(cases, "nm-detectors", nuclear(energy, **detectors), 1, 2, spacing=None)
+    times_or_series(cases, "nm-detectors", nuclear(energy, **detectors))
     dynamic = dict(ImageType=["ORIGINAL", "PRIMARY", "DYNAMIC", "EMISSION"],
                    FrameIncrementPointer=[0x00540010, 0x00540020, 0x00540030, 0x00540100],
                    EnergyWindowVector=[1] * 3, DetectorVector=[1] * 3, PhaseVector=[1] * 3,
                    TimeSliceVector=[1, 2, 3], NumberOfPhases=1)
     moving = np.stack([pattern(0, t) for t in range(3)])
     by_time(cases, "nm-dynamic", nuclear(moving, **dynamic), 1, 3, spacing=None)
+
+
+def times_or_series(cases, name, ds):
+    """Two planar images, which are no stack."""
+    for n in (1, 2):
+        right = expected_of(patterns(1, n - 1))
+        either = [{"time_points": 2, "options": {"time": n}}, {"series": 2, "options": {"series": str(n)}}]
+        if n == 1:
+            cases.one(f"{name}-1", ds, right, "PS3.3 C.8.4.8", either=either)
+        else:
+            path = cases.where(f"{name}-1", ".dcm")
+            cases.add(f"{name}-2", path, "PS3.3 C.8.4.8", right, either=either)
 
 
 def clip(pixels, **attributes):
