@@ -5,7 +5,7 @@
 
 The kinds are those that people report to the makers of DICOM readers, and what the standard permits
 but few files use. Each module of `dicom_cases` makes one kind. The same files come from every run.
-Needs numpy, pydicom, highdicom and imagecodecs. `check.py` runs a program over them.
+Needs numpy, pydicom, highdicom, imagecodecs, nibabel and SimpleITK. `check.py` runs a program over them.
 """
 
 import importlib

@@ -218,6 +218,18 @@ def by_simple_itk(data):
         return SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(file.name, imageIO="GDCMImageIO"))
 
 
+def series_reader_agrees(folder, expected):
+    """Whether SimpleITK reads the only series in a folder, with the voxels expected."""
+    try:
+        reader = SimpleITK.ImageSeriesReader()
+        (series,) = reader.GetGDCMSeriesIDs(folder)
+        reader.SetFileNames(reader.GetGDCMSeriesFileNames(folder, series))
+        voxels = SimpleITK.GetArrayFromImage(reader.Execute())
+        return picked(voxels.astype(float)) == expected["values"]
+    except Exception:
+        return False
+
+
 class Cases:
     """The cases made so far, and the folder of their files."""
 

@@ -15,10 +15,11 @@ def tag(name, vr, values):
     return out
 
 
-def csa_header(images, normal):
-    """A header with the number of images in a mosaic, and the normal of its slices."""
+def csa_header(images, normal, matrix="5p*6"):
+    """A header with the number of images in a mosaic, the normal and the size of its slices."""
     tags = [
         tag("EchoLinePosition", "IS", ["32"]),
+        tag("AcquisitionMatrixText", "SH", [matrix]),
         tag("SliceNormalVector", "FD", [f"{v:.8f}" for v in normal]),
         tag("NumberOfImagesInMosaic", "US", [str(images)]),
         tag("PhaseEncodingDirectionPositive", "IS", []),

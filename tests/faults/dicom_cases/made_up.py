@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from .base import MR, ORIGIN, SPACING, encoded, enhanced, expected_of, frame_groups, image, multiframe, one_item
-from .base import patterns
+from .base import MR, ORIGIN, SPACING, encoded, enhanced, expected_of, frame_groups, image
+from .base import multiframe, one_item, patterns
 
 PIXEL = ["spacing", "1 mm"]
 UNEVEN = ["uneven", "varies", "vary", "missing", "irregular", "not even"]
@@ -36,10 +36,10 @@ def single(cases):
     cases.one("not-square", image(0, PixelSpacing=[2.0, 0.25]), expected_of(one), "PS3.3 10.7.1.3",
               spacing_mm=[0.25, 2.0, 1.0])
     imager = dict(PixelSpacing=None, ImagerPixelSpacing=[0.2, 0.1], Modality="DX", **UNPLACED)
-    cases.one("imager-spacing", image(0, **imager), expected_of(one), "PS3.3 C.8.11.7", spacing_mm=[0.1, 0.2, 1.0],
+    cases.one("imager-spacing", image(0, **imager), expected_of(one, [0.1, 0.2, 1.0]), "PS3.3 C.8.11.7",
               warns=[["detector", "imager", "magnif"]])
     nominal = dict(PixelSpacing=None, NominalScannedPixelSpacing=[0.2, 0.1], Modality="OT", **UNPLACED)
-    cases.one("nominal-spacing", image(0, **nominal), expected_of(one), "PS3.3 C.8.6.2", spacing_mm=[0.1, 0.2, 1.0])
+    cases.one("nominal-spacing", image(0, **nominal), expected_of(one, [0.1, 0.2, 1.0]), "PS3.3 C.8.6.2")
     both = dict(PixelSpacing=[0.15, 0.15], ImagerPixelSpacing=[0.2, 0.2], Modality="DX", **UNPLACED)
     cases.one("imager-and-pixel-spacing", image(0, **both), expected_of(one), "PS3.3 10.7.1.3",
               spacing_mm=[0.15, 0.15, 1.0])
@@ -50,7 +50,8 @@ def single(cases):
               expected_of(one, [0.6, 0.8, 3.0]), "PS3.3 C.7.6.2")
     cases.one("no-orientation", image(0, ImageOrientationPatient=None), expected_of(one, None, ORIGIN),
               "notice", warns=["orientation"])
-    cases.one("no-position", image(0, ImagePositionPatient=None), expected_of(one), "notice", warns=["position"])
+    cases.one("no-position", image(0, ImagePositionPatient=None), expected_of(one), "notice",
+              warns=["position"])
 
 
 def several(cases):
@@ -58,8 +59,8 @@ def several(cases):
     four = patterns(4)
     cases.one("frames-without-distance", multiframe(four, PixelSpacing=[0.3, 0.3]),
               expected_of(four, [0.3, 0.3, 1.0]), "notice", warns=["1 mm"])
-    cases.one("frames-with-thickness", multiframe(four, SliceThickness="2"), expected_of(four, [0.6, 0.8, 2.0]),
-              "notice", warns=["thickness"])
+    cases.one("frames-with-thickness", multiframe(four, SliceThickness="2"),
+              expected_of(four, [0.6, 0.8, 2.0]), "notice", warns=["thickness"])
     cases.one("frames-with-spacing", multiframe(four, SpacingBetweenSlices="3", SliceThickness="2"),
               expected_of(four, [0.6, 0.8, 3.0]), "PS3.3 C.7.6.2", not_warns=["1 mm", "thickness"])
     cases.one("frames-with-zero-spacing", multiframe(four, SpacingBetweenSlices="0"),
@@ -81,7 +82,8 @@ def several(cases):
     cases.stack("files-with-spacing", files(SpacingBetweenSlices="3"), expected_of(four, [0.6, 0.8, 3.0]),
                 "PS3.3 C.7.6.2", not_warns=["1 mm"])
     location = [unplaced(k, SliceLocation=f"{10 + 4 * k}") for k in range(4)]
-    cases.stack("files-with-location", location, expected_of(four), "notice", warns=[["position", "location"]])
+    cases.stack("files-with-location", location, expected_of(four), "notice",
+                warns=[["position", "location"]])
     locations = [unplaced(k, SliceLocation=f"{10 + 4 * k}", InstanceNumber=None) for k in (2, 0, 3, 1)]
     cases.stack("files-with-location-alone", locations, {"size": [6, 5, 4]}, "notice",
                 warns=[["position", "location"]])
@@ -115,7 +117,8 @@ def at(steps, scale=1.0, **attributes):
 def uneven(cases):
     """Uneven distances, from nanometres to metres."""
     n = 7
-    for name, scale in (("nanometres", 1e-6), ("micrometres", 1e-3), ("millimetres", 1.0), ("metres", 1000.0)):
+    scales = {"nanometres": 1e-6, "micrometres": 1e-3, "millimetres": 1.0, "metres": 1000.0}
+    for name, scale in scales.items():
         even = [2.0 * k for k in range(n)]
         cases.stack(f"even-{name}", at(even, scale), expected_of(patterns(n), [scale, scale, 2 * scale]),
                     "SimpleITK", not_warns=UNEVEN)
@@ -147,14 +150,15 @@ def uneven(cases):
 def tilted(cases):
     """Slices that are shifted within their planes."""
     tilt = np.tan(np.radians(15))
-    slices = [image(k, SOPClassUID=MR, Modality="MR", ImagePositionPatient=[0, f"{2 * k * tilt:.8f}", f"{2 * k}"])
-              for k in range(4)]
+    slices = [image(k, SOPClassUID=MR, Modality="MR",
+                    ImagePositionPatient=[0, f"{2 * k * tilt:.8f}", f"{2 * k}"]) for k in range(4)]
     expected = expected_of(patterns(4), [0.6, 0.8, 2 / np.cos(np.radians(15))], [0, 0, 0])
     expected["direction"] = [[1, 0, 0], [0, 1, float(np.sin(np.radians(15)))],
                              [0, 0, float(np.cos(np.radians(15)))]]
     cases.stack("tilt", slices, expected, "PS3.3 C.7.6.2.1.1", not_warns=UNEVEN)
     zigzag = [image(k, ImagePositionPatient=[3.0 * (k % 2), 0, 2.0 * k]) for k in range(4)]
-    cases.stack("zigzag", zigzag, expected_of(patterns(4)), "notice", warns=[["aligned", "line", "offset", "shift"]])
+    cases.stack("zigzag", zigzag, expected_of(patterns(4)), "notice",
+                warns=[["aligned", "line", "offset", "shift"]])
     fan = [image(k, ImageOrientationPatient=[1, 0, 0, 0, float(np.cos(k * 0.3)), float(np.sin(k * 0.3))],
                  ImagePositionPatient=[0, 0, 0]) for k in range(4)]
     cases.stack("fan", fan, {}, "radial slices are no volume", warns=["series"])

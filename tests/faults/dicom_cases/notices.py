@@ -110,9 +110,11 @@ def damaged(cases):
         strange = packed(image(2), syntax, b"\0\1\2\3" * 8)
         cases.stack(f"syntax-{name}", whole[:2] + [strange] + whole[3:], hole, "the others open",
                     warns=[[*fragments, *said], "missing"])
-        cases.one(f"syntax-{name}-alone", strange, {}, "refused", error=[["syntax", "decode", "JPEG", "MPEG"]])
+        cases.one(f"syntax-{name}-alone", strange, {}, "refused",
+                  error=[["syntax", "decode", "JPEG", "MPEG"]])
     rle = packed(image(2), "1.2.840.10008.1.2.5", b"\xff" * 70)
-    cases.stack("rle-damaged", whole[:2] + [rle] + whole[3:], hole, "the others open", warns=[said, "missing"])
+    cases.stack("rle-damaged", whole[:2] + [rle] + whole[3:], hole, "the others open",
+                warns=[said, "missing"])
 
 
 def packed(ds, syntax, fragment):
@@ -131,8 +133,12 @@ def others(cases):
     report = image(0, SOPInstanceUID="1.2.3.4.99", SOPClassUID="1.2.840.10008.5.1.4.1.1.88.11", Modality="SR",
                    SeriesInstanceUID="1.2.3.6", PixelData=None, Rows=None, Columns=None)
     cases.stack("report-beside", slices + [report], right, "pydicom", not_warns=["damaged"])
-    for name, file, data in (("text-beside", "readme.txt", b"text\n"), ("thumbs-beside", "Thumbs.db", b"\xd0\xcf\x11\xe0"),
-                             ("store-beside", ".DS_Store", b"\0\0\0\1Bud1"), ("fork-beside", "._0.dcm", b"\0\5\x16\7" * 40)):
+    for name, file, data in (
+        ("text-beside", "readme.txt", b"text\n"),
+        ("thumbs-beside", "Thumbs.db", b"\xd0\xcf\x11\xe0"),
+        ("store-beside", ".DS_Store", b"\0\0\0\1Bud1"),
+        ("fork-beside", "._0.dcm", b"\0\5\x16\7" * 40),
+    ):
         cases.stack(name, [encoded(s) for s in slices] + [data], right, "pydicom",
                     names=["0.dcm", "1.dcm", "2.dcm", file], not_warns=["damaged"])
     directory = image(0, SOPClassUID="1.2.840.10008.1.3.10", PixelData=None, Rows=None, Columns=None)

@@ -11,6 +11,8 @@ from .base import ORIGIN, SPACING, expected_of, frame_groups, image, multiframe,
 
 SEGMENTATION = "1.2.840.10008.5.1.4.1.1.66.4"
 NAMES = ("liver", "tumour", "spleen")
+# What highdicom copies from its sources.
+EMPTY = ("PatientBirthDate", "PatientSex", "AccessionNumber", "ReferringPhysicianName", "StudyID")
 MOMENT = {"ContentDate": "20200101", "ContentTime": "100000", "InstanceCreationDate": "20200101",
           "InstanceCreationTime": "100000", "SeriesDate": "20200101", "SeriesTime": "100000"}
 
@@ -20,7 +22,7 @@ def sources(count=5):
     for k in range(count):
         ds = image(k, pixels=np.zeros((8, 8), np.uint16), StudyDate="20200101", StudyTime="100000",
                    SliceThickness="2.5")
-        for name in ("PatientBirthDate", "PatientSex", "AccessionNumber", "ReferringPhysicianName", "StudyID"):
+        for name in EMPTY:
             setattr(ds, name, "")
         out.append(ds)
     return out
@@ -48,6 +50,8 @@ def written(voxels, kind, count, **more):
     ds.DimensionOrganizationSequence[0].DimensionOrganizationUID = "1.2.3.8"
     for item in ds.DimensionIndexSequence:
         item.DimensionOrganizationUID = "1.2.3.8"
+    for item in ds.get("ContributingEquipmentSequence", ()):
+        item.ContributionDateTime = "20200101100000"
     ds.FrameOfReferenceUID = "1.2.3.9"
     ds.file_meta.ImplementationClassUID = "1.2.3"
     ds.file_meta.ImplementationVersionName = "FAULTS"

@@ -6,8 +6,9 @@ from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRBigEndian, ExplicitVRLittleEndian
 
 from .base import ORIGIN, SPACING, agrees, data_set, described, enhanced, expected_of, frame_groups
-from .base import image, one_item, pattern, patterns
-from .encoding import UNDEFINED, Style, bare, encode, file_of, header
+from .base import image, multiframe, one_item, pattern, patterns
+from .characters import segmentation
+from .encoding import UNDEFINED, Style, bare, encode, file_of, header, plain
 
 GEOMETRY = {
     "ImagePositionPatient",
@@ -66,23 +67,23 @@ def private_cases(cases):
     inner = Dataset()
     inner.add_new(0x20010010, "LO", "Philips")
     inner.add_new(0x20011001, "LO", "1.2")
-    plain = encode(inner, implicit)
+    inside = encode(inner, implicit)
     item = lambda content: bare(0xFFFEE000, len(content)) + content
     open_item = lambda content: bare(0xFFFEE000, UNDEFINED) + content + bare(0xFFFEE00D, 0)
     end = bare(0xFFFEE0DD, 0)
-    nested_open = header(0x20011002, "SQ", UNDEFINED, implicit) + open_item(plain) + end
-    nested = header(0x20011002, "SQ", len(item(plain)), implicit) + item(plain)
+    nested_open = header(0x20011002, "SQ", UNDEFINED, implicit) + open_item(inside) + end
+    nested = header(0x20011002, "SQ", len(item(inside)), implicit) + item(inside)
     explicit = encode(inner)
     icon = data_set(Rows=2, Columns=2, BitsAllocated=8, PixelData=b"\1\2\3\4")
     icon["PixelData"].VR = "OB"
     for name, content in {
-        "private item length": item(plain) + end,
-        "private open item": open_item(plain) + end,
+        "private item length": item(inside) + end,
+        "private open item": open_item(inside) + end,
         "private no item": end,
         "private empty item": item(b"") + open_item(b"") + end,
-        "private two items": item(plain) + open_item(plain) + end,
-        "private nested": open_item(plain + nested_open) + end,
-        "private nested lengths": item(nested + plain) + end,
+        "private two items": item(inside) + open_item(inside) + end,
+        "private nested": open_item(inside + nested_open) + end,
+        "private nested lengths": item(nested + inside) + end,
         "private nested twice": open_item(nested_open + header(0x20011003, "SQ", UNDEFINED, implicit)
                                           + open_item(nested_open) + end) + end,
         "private icon": open_item(encode(icon, implicit)) + end,
@@ -90,7 +91,7 @@ def private_cases(cases):
         one(name.replace(" ", "-"), with_private(content))
     # Against the standard, but written.
     one("private-explicit-items", with_private(open_item(explicit) + end))
-    one("private-stated", with_private(item(plain), len(item(plain))))
+    one("private-stated", with_private(item(inside), len(item(inside))))
     noise = bytes(range(1, 251))
     one("private-bytes", with_private(noise, len(noise)))
 
@@ -155,7 +156,8 @@ def make(cases):
     stack(cases, "big-endian-geometry", unknown(*GEOMETRY), Style(big=True))
     stack(cases, "big-endian-pixels", unknown(*PIXELS), Style(big=True))
     stack(cases, "spaced-decimals", unknown(*GEOMETRY), datasets=slices(
-        PixelSpacing=[0.8000000000001, 0.6000000000001], ImageOrientationPatient=["1", "0", "-0.0", "0", "+1", "0"]
+        PixelSpacing=[0.8000000000001, 0.6000000000001],
+        ImageOrientationPatient=["1", "0", "-0.0", "0", "+1", "0"],
     ))
     stack(cases, "empty-rescale", unknown("RescaleSlope", "RescaleIntercept"), datasets=[
         image(k, RescaleSlope="", RescaleIntercept="") for k in range(3)
@@ -169,6 +171,21 @@ def make(cases):
     icon["PixelData"].VR = "OB"
     stack(cases, "icon", unknown("IconImageSequence", undefined=True),
           datasets=slices(IconImageSequence=Sequence([icon])))
+    datasets = slices(4)
+    files = [file_of(ds, Style(), unknown(*GEOMETRY) if k % 2 else plain) for k, ds in enumerate(datasets)]
+    cases.stack("every-second-slice", files, described(datasets), agrees(files, datasets, STANDARD),
+                series=1, time_points=1)
+    ds = multiframe(patterns(3), SpacingBetweenSlices="2.5")
+    keywords = ("NumberOfFrames", "SpacingBetweenSlices", "PixelSpacing")
+    cases.one("number-of-frames", file_of(ds, Style(), unknown(*keywords)), expected_of(patterns(3), SPACING),
+              STANDARD)
+    ds = segmentation("ISO_IR 192", ("肝臓", "Печень"))
+    for name, is_open in (("segments-undefined", True), ("segments-stated", False)):
+        choose = unknown("SegmentSequence", "SharedFunctionalGroupsSequence",
+                         "PerFrameFunctionalGroupsSequence", undefined=is_open)
+        right = {"size": [8, 8, 1], "values": [[2, 2, 0, 1], [5, 5, 0, 2]]}
+        cases.one(name, file_of(ds, Style(), choose), right, STANDARD, modality="SEG",
+                  labels={"1": "肝臓", "2": "Печень"})
     private_cases(cases)
     functional_groups(cases)
     times(cases)
