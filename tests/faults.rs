@@ -49,7 +49,10 @@ fn unpacked(area: &str) -> tempfile::TempDir {
     let mut bytes = Vec::new();
     BzDecoder::new(&packed[..]).read_to_end(&mut bytes).unwrap();
     let place = tempfile::tempdir().unwrap();
-    zip::ZipArchive::new(Cursor::new(bytes)).unwrap().extract(place.path()).unwrap();
+    zip::ZipArchive::new(Cursor::new(bytes))
+        .unwrap()
+        .extract(place.path())
+        .unwrap();
     place
 }
 
@@ -59,17 +62,27 @@ fn check_pack(area: &str) {
 
 /// Checks all cases of a folder.
 fn check(folder: &Path) {
-    let cases: Vec<Value> = serde_json::from_slice(&std::fs::read(folder.join("cases.json")).unwrap()).unwrap();
+    let cases: Vec<Value> =
+        serde_json::from_slice(&std::fs::read(folder.join("cases.json")).unwrap()).unwrap();
     assert!(!cases.is_empty());
     let wrong: Vec<String> = cases
         .par_iter()
         .flat_map(|case| {
             let name = format!("{}: {}", text(&case["kind"]), text(&case["name"]));
             let problems = problems_of_case(folder, case);
-            problems.into_iter().map(move |p| format!("{name}: {p}")).collect::<Vec<_>>()
+            problems
+                .into_iter()
+                .map(move |p| format!("{name}: {p}"))
+                .collect::<Vec<_>>()
         })
         .collect();
-    assert!(wrong.is_empty(), "{} of {} cases:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} of {} cases:\n{}",
+        wrong.len(),
+        cases.len(),
+        wrong.join("\n")
+    );
     println!("{} files are read, or refused, as they should be", cases.len());
 }
 
@@ -81,7 +94,10 @@ fn problems_of_case(folder: &Path, case: &Value) -> Vec<String> {
     let mut all: Vec<Vec<String>> = Vec::new();
     for form in forms {
         let mut whole = case.clone();
-        whole.as_object_mut().unwrap().extend(form.as_object().unwrap().clone());
+        whole
+            .as_object_mut()
+            .unwrap()
+            .extend(form.as_object().unwrap().clone());
         all.push(problems(folder, &whole));
     }
     all.into_iter().min_by_key(Vec::len).unwrap()
@@ -89,7 +105,10 @@ fn problems_of_case(folder: &Path, case: &Value) -> Vec<String> {
 
 fn problems(folder: &Path, case: &Value) -> Vec<String> {
     let path = folder.join(text(&case["path"]));
-    let mut found = Problems { case, list: Vec::new() };
+    let mut found = Problems {
+        case,
+        list: Vec::new(),
+    };
     if case.get("points").is_some() || case["kind"].as_str().is_some_and(|k| k.contains("transform")) {
         found.of_transform(folder, &path);
     } else if incise::mesh::load::is_mesh(&path) {
@@ -118,7 +137,9 @@ fn list(value: &Value) -> &[Value] {
 /// Whether a text holds a fragment, or one of several, in any case.
 fn holds(whole: &str, fragment: &Value) -> bool {
     let holds = |f: &Value| whole.to_lowercase().contains(&text(f).to_lowercase());
-    fragment.as_array().map_or_else(|| holds(fragment), |forms| forms.iter().any(holds))
+    fragment
+        .as_array()
+        .map_or_else(|| holds(fragment), |forms| forms.iter().any(holds))
 }
 
 fn options(case: &Value, channel: Option<usize>) -> ReadOptions {
@@ -222,26 +243,48 @@ impl Problems<'_> {
         self.equal("components", volume.components, self.count("components"));
         self.equal("inverted", volume.inverted, case["inverted"].as_bool());
         self.all_near("spacing_mm", &volume.spacing_mm().to_array(), [1e-4, 1e-12]);
-        self.all_near("origin_mm", &volume.world_from_voxel.translation.to_array(), [1e-6, 2e-4]);
+        self.all_near(
+            "origin_mm",
+            &volume.world_from_voxel.translation.to_array(),
+            [1e-6, 2e-4],
+        );
         let rows = volume.direction().transpose().to_cols_array();
         self.all_near("direction", &rows, [1e-6, 2e-4]);
-        let detail = |name: &str| volume.details.iter().find(|(n, _)| *n == name).map(|(_, v)| v.clone());
+        let detail = |name: &str| {
+            volume
+                .details
+                .iter()
+                .find(|(n, _)| *n == name)
+                .map(|(_, v)| v.clone())
+        };
         let times = detail("time_points").and_then(|n| n.as_u64()).unwrap_or(1);
         self.equal("time points", times, case["time_points"].as_u64());
-        self.equal("modality", detail("modality"), case.get("modality").map(|m| Some(m.clone())));
+        self.equal(
+            "modality",
+            detail("modality"),
+            case.get("modality").map(|m| Some(m.clone())),
+        );
         let series = detail("series").unwrap_or(Value::Null);
         self.equal("description", &series["description"], case.get("description"));
         if let Some(count) = self.count("series") {
-            let all = load::series(path, false, &Watch::NONE).unwrap().unwrap_or_default();
+            let all = load::series(path, false, &Watch::NONE)
+                .unwrap()
+                .unwrap_or_default();
             self.equal("number of series", all.len().max(1), Some(count));
         }
         for (value, name) in case["labels"].as_object().into_iter().flatten() {
             let label = volume.label_table.iter().find(|l| l.value.to_string() == *value);
-            self.equal(&format!("label {value}"), label.map(|l| l.name.as_str()), Some(name.as_str()));
+            self.equal(
+                &format!("label {value}"),
+                label.map(|l| l.name.as_str()),
+                Some(name.as_str()),
+            );
         }
         for (value, count) in case["count"].as_object().into_iter().flatten() {
             let label: f64 = value.parse().unwrap();
-            let found = (0..volume.voxels.len()).filter(|n| volume.voxels.get(*n) == label).count();
+            let found = (0..volume.voxels.len())
+                .filter(|n| volume.voxels.get(*n) == label)
+                .count();
             self.equal(&format!("voxels of label {value}"), found as u64, count.as_u64());
         }
         self.notices(&volume.warnings);
@@ -250,7 +293,11 @@ impl Problems<'_> {
             let expected = numbers(expected);
             let found = at(&volume, &expected);
             if !found.is_some_and(|f| near(f, expected[3], 1e-5, tolerance)) {
-                self.note(format!("value at {:?} is {found:?}, not {}", &expected[..3], expected[3]));
+                self.note(format!(
+                    "value at {:?} is {found:?}, not {}",
+                    &expected[..3],
+                    expected[3]
+                ));
             }
         }
         self.colors(path);
@@ -261,12 +308,25 @@ impl Problems<'_> {
         if list(&case["colors"]).is_empty() {
             return;
         }
-        let channels: Vec<Volume> = (1..=3).map(|c| read(path, &options(case, Some(c))).unwrap()).collect();
+        let channels: Vec<Volume> = (1..=3)
+            .map(|c| read(path, &options(case, Some(c))).unwrap())
+            .collect();
         for expected in list(&case["colors"]) {
             let expected = numbers(expected);
-            let found: Vec<f64> = channels.iter().map(|c| at(c, &expected).unwrap_or(f64::NAN)).collect();
-            if !found.iter().zip(&expected[3..]).all(|(f, e)| near(*f, *e, 0.0, tolerance)) {
-                self.note(format!("colour at {:?} is {found:?}, not {:?}", &expected[..3], &expected[3..]));
+            let found: Vec<f64> = channels
+                .iter()
+                .map(|c| at(c, &expected).unwrap_or(f64::NAN))
+                .collect();
+            if !found
+                .iter()
+                .zip(&expected[3..])
+                .all(|(f, e)| near(*f, *e, 0.0, tolerance))
+            {
+                self.note(format!(
+                    "colour at {:?} is {found:?}, not {:?}",
+                    &expected[..3],
+                    &expected[3..]
+                ));
             }
         }
     }
@@ -321,7 +381,12 @@ impl Problems<'_> {
             let expected = numbers(expected);
             let found = transform.source_from_deformed(DVec3::from_slice(&expected));
             let source = DVec3::from_slice(&expected[3..]);
-            if !(found - source).abs().to_array().iter().all(|d| *d <= tolerance + 1e-4 * source.length()) {
+            if !(found - source)
+                .abs()
+                .to_array()
+                .iter()
+                .all(|d| *d <= tolerance + 1e-4 * source.length())
+            {
                 self.note(format!("{:?} comes from {found}, not {source}", &expected[..3]));
             }
         }

@@ -17,6 +17,7 @@ mod contract;
 mod damage;
 #[cfg(feature = "gpu")]
 mod editing;
+mod faults;
 mod fields;
 mod fuzz;
 mod metrics;
@@ -136,6 +137,7 @@ fn main() {
         one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry,
         orientations_are_one_world, series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel,
         a_gigabyte_needs_little_more));
+    all.extend(trials!(faults: listed_files, dicom_files));
     all.extend(trials!(damage: damaged_files_are_named));
     all.extend(trials!(fuzz: random_scenes_do_no_harm));
     all.extend(trials!(composition: random_stacks_keep_their_bound, tears_are_walked));

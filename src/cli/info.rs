@@ -227,7 +227,8 @@ fn as_text(report: &Value) -> String {
     }
     let mut out = String::new();
     lines(report, 0, &mut out);
-    out.trim_end().to_owned()
+    // Text of a file must not move a terminal's cursor.
+    out.trim_end().replace(|c: char| c.is_control() && c != '\n', " ")
 }
 
 /// Deviations of a kind from the common parameters.

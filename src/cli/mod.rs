@@ -144,8 +144,12 @@ fn print(text: &str) -> Result<()> {
     files::standard_output().finish(format!("{text}\n").as_bytes())
 }
 
-/// Writes a line to standard error. A closed or full standard error is ignored: the failure cannot
-/// be reported anywhere.
+/// Writes a line to standard error, without control characters: text of a file must not move a
+/// terminal's cursor. A closed or full standard error is ignored: the failure cannot be reported
+/// anywhere.
 pub fn print_to_stderr(text: impl std::fmt::Display) {
-    let _nowhere = writeln!(std::io::stderr(), "incise: {text}");
+    let line = text
+        .to_string()
+        .replace(|c: char| c.is_control() && c != '\n', " ");
+    let _nowhere = writeln!(std::io::stderr(), "incise: {line}");
 }

@@ -97,9 +97,10 @@ def damaged(cases):
     for name in ("truncated", "truncated-in-header", "truncated-at-pixel-data"):
         cases.one(f"alone-{name}", pieces[name], {}, "refused", error=[["truncated", "damaged", "short"]])
     first = [whole[0][:-30]] + whole[1:]
-    cases.stack("first-truncated", first, {"size": [6, 5, 4], "values": [[0, 0, 0, 100], [0, 0, 3, 400]],
-                                           "origin_mm": [ORIGIN[0], ORIGIN[1], ORIGIN[2] + 2.5]},
-                "the others open", warns=[said])
+    without = {"size": [6, 5, 4], "values": [[0, 0, 0, 100], [0, 0, 3, 400]],
+               "origin_mm": [ORIGIN[0], ORIGIN[1], ORIGIN[2] + 2.5]}
+    empty = {"size": [6, 5, 5], "values": [[0, 0, 1, 100], [0, 0, 4, 400]], "origin_mm": ORIGIN}
+    cases.stack("first-truncated", first, {"either": [without, empty]}, "the others open", warns=[said])
     all_ = [data[:-30] for data in whole]
     cases.stack("all-truncated", all_, {}, "refused", error=[["truncated", "damaged"]])
     for name, syntax, fragments in (

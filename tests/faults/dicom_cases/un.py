@@ -179,13 +179,13 @@ def make(cases):
     keywords = ("NumberOfFrames", "SpacingBetweenSlices", "PixelSpacing")
     cases.one("number-of-frames", file_of(ds, Style(), unknown(*keywords)), expected_of(patterns(3), SPACING),
               STANDARD)
-    ds = segmentation("ISO_IR 192", ("肝臓", "Печень"))
+    ds = segmentation("ISO_IR 192", ("liver", "kidney"))
     for name, is_open in (("segments-undefined", True), ("segments-stated", False)):
         choose = unknown("SegmentSequence", "SharedFunctionalGroupsSequence",
                          "PerFrameFunctionalGroupsSequence", undefined=is_open)
         right = {"size": [8, 8, 1], "values": [[2, 2, 0, 1], [5, 5, 0, 2]]}
         cases.one(name, file_of(ds, Style(), choose), right, STANDARD, modality="SEG",
-                  labels={"1": "肝臓", "2": "Печень"})
+                  labels={"1": "liver", "2": "kidney"})
     private_cases(cases)
     functional_groups(cases)
     times(cases)

@@ -23,6 +23,7 @@ mod object;
 mod palette;
 mod pixels;
 mod placement;
+mod rle;
 mod scan;
 mod series;
 mod siblings;

@@ -11,7 +11,8 @@ use super::dataset::{one_line, open};
 use super::frame::PixelFormat;
 use super::location::Bytes;
 use super::object::Object;
-use super::syntax::{GE_BIG_ENDIAN_PIXELS, JPEG, JPEG_2000, max_compression_ratio, syntax_name};
+use super::rle;
+use super::syntax::{GE_BIG_ENDIAN_PIXELS, JPEG, JPEG_2000, RLE, max_compression_ratio, syntax_name};
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result};
 use dicom_encoding::adapters::{PixelDataObject, RawPixelData};
@@ -634,6 +635,15 @@ impl PixelDataObject for OneFrame<'_> {
 }
 
 fn by_registry(object: &Object, compressed: &[u8]) -> Result<Vec<u8>, String> {
+    let format = &object.format;
+    if object.syntax == RLE && format.allocated > 16 {
+        return rle::decode(
+            compressed,
+            format.values(),
+            usize::from(format.samples),
+            usize::from(format.allocated / 8),
+        );
+    }
     let Some(Codec::EncapsulatedPixelData(Some(decoder), _)) =
         TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec())
     else {

@@ -10,6 +10,8 @@ pub const EXPLICIT: &str = "1.2.840.10008.1.2.1";
 pub const DEFLATED: &str = "1.2.840.10008.1.2.1.99";
 /// Explicit VR big endian.
 pub const BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
+/// RLE lossless.
+pub const RLE: &str = "1.2.840.10008.1.2.5";
 /// GE's private syntax: implicit VR little endian, but pixels in big endian.
 pub const GE_BIG_ENDIAN_PIXELS: &str = "1.2.840.113619.5.2";
 /// The JPEG syntaxes: baseline, extended, lossless.
@@ -37,7 +39,7 @@ pub fn max_compression_ratio(syntax: &str, frame_bytes: usize) -> u64 {
         IMPLICIT | EXPLICIT | BIG_ENDIAN | GE_BIG_ENDIAN_PIXELS => 1,
         DEFLATED => DEFLATE_LIMIT,
         // A run of 128 takes two bytes.
-        "1.2.840.10008.1.2.5" => 64,
+        RLE => 64,
         _ if frame_bytes <= SMALL_FRAME => 20_000,
         _ => 1000,
     }
