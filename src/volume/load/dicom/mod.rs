@@ -5,16 +5,22 @@
 //! rescale. A gantry tilt is a shear of the voxel axes. Uneven spacing and missing slices are
 //! reported with their positions, and resampled only on request.
 //!
+//! A structure set has contours instead of frames; it is a series of its own, read as a label map.
+//!
 //! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
 
+mod contour_plane;
 mod dataset;
 mod element;
 mod frames;
 mod location;
 mod pixels;
 mod placement;
+mod rasterise;
 mod scan;
 mod series;
+mod structure_volume;
+mod structures;
 mod syntax;
 mod values;
 mod volume;
@@ -28,6 +34,7 @@ use scan::{Object, ScanResult, scan};
 use serde_json::json;
 use series::{DicomSeries, chosen, described, places, series};
 use std::path::Path;
+use structure_volume::structure_volume;
 use syntax::syntax_name;
 use volume::volume;
 
@@ -174,15 +181,20 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         progress: &reading,
         cancel: watch.cancel,
     };
-    let mut image = volume(
-        path,
-        &found.objects,
-        &series.times[time],
-        choice,
-        &watch,
-        &mut warnings,
-    )?;
     let object = &found.objects[series.object];
+    let mut image = if object.is_structure_set() {
+        let others = (found.objects.as_slice(), all.as_slice());
+        structure_volume(path, object, others, choice, &watch, &mut warnings)?
+    } else {
+        volume(
+            path,
+            &found.objects,
+            &series.times[time],
+            choice,
+            &watch,
+            &mut warnings,
+        )?
+    };
     image.details.extend([
         ("modality", json!(object.modality)),
         ("series", json!({ "number": index + 1, "of": all.len(), "uid": object.series, "description": object.description })),

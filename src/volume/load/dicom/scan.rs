@@ -5,6 +5,7 @@ use super::dataset::{DEFLATED, header, is_dicom};
 use super::element::{item, number, numbers, text, vector, whole_number};
 use super::frames::{Frame, PixelFormat, frames};
 use super::location::{ObjectLocation, files_in, members};
+use super::structures::{is_structure_set, label_of};
 use super::syntax::max_compression_ratio;
 use crate::panic_guard::catch_panic;
 use crate::volume::Label;
@@ -49,6 +50,13 @@ pub struct Object {
     pub frames: Vec<Frame>,
     /// Red, green, blue tables of a palette: first value mapped, and entries.
     pub palette: Option<[(i64, Vec<u8>); 3]>,
+}
+
+impl Object {
+    /// Whether it is a structure set: it has contours instead of frames.
+    pub fn is_structure_set(&self) -> bool {
+        self.frames.is_empty()
+    }
 }
 
 /// The result of a scan.
@@ -123,7 +131,7 @@ fn looks_like_dicom(source: &ObjectLocation) -> bool {
         && is_dicom(&start)
 }
 
-/// An object's header; none if it contains no pixels.
+/// An object's header; none if it contains neither pixels nor contours.
 fn object(source: ObjectLocation) -> Result<Option<Object>> {
     let path = source.path().to_owned();
     let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
@@ -240,10 +248,10 @@ fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
     }
 }
 
-/// The object that a header describes; none if it has no pixels.
+/// The object that a header describes; none if it has neither pixels nor contours.
 fn object_of(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Result<Option<Object>> {
     let Some(format) = pixel_format(set) else {
-        return Ok(None);
+        return Ok(is_structure_set(set).then(|| structure_set(source, syntax, set)));
     };
     let fail = |problem: String| Error::file(source.path(), problem);
     check_format(&format).map_err(fail)?;
@@ -272,6 +280,39 @@ fn object_of(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> 
         syntax,
         source,
     }))
+}
+
+/// A structure set, which has no frames.
+fn structure_set(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Object {
+    Object {
+        instance: text(set, tags::SOP_INSTANCE_UID),
+        segments_as: SegmentsAs::Labels,
+        series: text(set, tags::SERIES_INSTANCE_UID),
+        series_number: number(set, tags::SERIES_NUMBER).map(|n| n as i64),
+        description: label_of(set),
+        modality: "RTSTRUCT".into(),
+        patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
+        padding: None,
+        slice_spacing: None,
+        segmentation: false,
+        segments: Vec::new(),
+        palette: None,
+        frames: Vec::new(),
+        format: PixelFormat {
+            rows: 0,
+            columns: 0,
+            samples: 1,
+            allocated: 16,
+            stored: 16,
+            high_bit: 15,
+            signed: false,
+            float: false,
+            photometric: String::new(),
+            planar: false,
+        },
+        syntax,
+        source,
+    }
 }
 
 /// Names and colours of segments.

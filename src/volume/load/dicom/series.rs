@@ -33,6 +33,9 @@ pub fn described(series: &DicomSeries, objects: &[Object]) -> String {
     } else {
         format!(" \"{}\"", object.description)
     };
+    if object.is_structure_set() {
+        return format!("{} series {number}{description}", object.modality);
+    }
     format!(
         "{} series {number}{description}, {} slices",
         object.modality,
@@ -88,7 +91,8 @@ pub fn normal(frame: &Frame) -> DVec3 {
     frame.along[0].cross(frame.along[1]).normalize_or(DVec3::Z)
 }
 
-/// Groups frames by their common attributes, the largest series first.
+/// Groups frames by their common attributes, the largest series first. Structure sets follow, each
+/// as a series without frames.
 pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
     let mut groups: HashMap<String, Vec<Frame>> = HashMap::new();
     for object in objects {
@@ -116,6 +120,15 @@ pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
         .into_iter()
         .map(|(key, frames)| (key, sorted(frames, objects)))
         .collect();
+    let structure_sets = objects.iter().enumerate().filter(|(_, o)| o.is_structure_set());
+    all.extend(structure_sets.map(|(object, o)| {
+        let series = DicomSeries {
+            object,
+            times: vec![Vec::new()],
+            duplicates: 0,
+        };
+        (format!("{} {}", o.series, o.instance), series)
+    }));
     let voxels = |s: &DicomSeries| {
         let f = &objects[s.object].format;
         places(&s.times[0]).len() * usize::from(f.rows) * usize::from(f.columns)

@@ -131,7 +131,7 @@ fn positions(slices: &[&Frame]) -> Value {
 }
 
 /// Rejects, before anything is allocated, frames that the files cannot contain.
-fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
+pub fn check_pixels(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
     let mut needed: HashMap<usize, usize> = HashMap::new();
     for frame in frames {
         *needed.entry(frame.object).or_default() += objects[frame.object].format.frame_bytes();
