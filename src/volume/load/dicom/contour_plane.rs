@@ -18,8 +18,9 @@ use std::ops::Range;
 const STEPS_PER_PIXEL: f64 = 1e6;
 /// Maximum number of pixels that are filled at a time.
 const MAX_BAND: usize = 1 << 22;
-/// Maximum number of edges by which the closest one is improved.
-const MAX_REFINEMENT: usize = 64;
+/// Longest stride along a ring, in edges, in search of a closer edge; and their number.
+const MAX_STRIDE: u32 = 1 << 16;
+const MAX_STRIDES: usize = 8;
 /// A pixel without a closest edge.
 const NO_EDGE: u32 = u32::MAX;
 
@@ -289,22 +290,34 @@ impl<'a> DistanceField<'a> {
         }
     }
 
-    /// Moves along the rings from the closest edge to an even closer one: of many edges within one
-    /// pixel, only one is passed on.
+    /// Moves along the rings from the closest edge to an even closer one, by strides of as many
+    /// edges as there are in a pixel, and then by shorter ones: of many edges within one pixel, only
+    /// one is passed on.
     fn refine(&mut self) {
+        let length: f64 = self.edges.iter().map(|e| e.from.distance(e.to)).sum();
+        let per_pixel = self.edges.len() as f64 / length.max(1.0);
+        let longest = (per_pixel.ceil() as u32).clamp(1, MAX_STRIDE).next_power_of_two();
         for pixel in 0..self.closest.len() {
-            for direction in [1, -1] {
-                for _ in 0..MAX_REFINEMENT {
-                    let from = self.closest[pixel];
-                    let next = from.checked_add_signed(direction);
-                    let Some(next) = next.filter(|n| (*n as usize) < self.ends_mm.len()) else {
-                        break;
-                    };
-                    self.propose(pixel, next);
-                    if self.closest[pixel] == from {
-                        break;
+            let mut stride = longest;
+            while stride > 0 {
+                for ahead in [true, false] {
+                    for _ in 0..MAX_STRIDES {
+                        let from = self.closest[pixel];
+                        let next = if ahead {
+                            from.checked_add(stride)
+                        } else {
+                            from.checked_sub(stride)
+                        };
+                        let Some(next) = next.filter(|n| (*n as usize) < self.edges.len()) else {
+                            break;
+                        };
+                        self.propose(pixel, next);
+                        if self.closest[pixel] == from {
+                            break;
+                        }
                     }
                 }
+                stride /= 4;
             }
         }
     }

@@ -10,6 +10,7 @@
 //! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
 
 mod contour_plane;
+mod contour_stack;
 mod dataset;
 mod element;
 mod frames;

@@ -15,7 +15,8 @@
 
 use super::super::StoredValues;
 use super::super::source::zeroed;
-use super::contour_plane::{ContourPlane, Run, Window, runs_of};
+use super::contour_plane::{Run, Window, runs_of};
+use super::contour_stack::{Raster, Section, Spacing, Stack};
 use super::structures::Structure;
 use crate::{ByteProgress, Result, Watch};
 use glam::{DAffine3, DMat2, DMat3, DVec2, DVec3, Vec3Swizzles};
@@ -24,9 +25,6 @@ use std::path::Path;
 
 /// Contours within this range of slices are parallel to the slices.
 const MAX_SPREAD: f64 = 0.25;
-/// Contours closer than this are in the same plane, in slices; or in millimetres, if that is more.
-const SAME_PLANE: f64 = 0.02;
-const SAME_PLANE_MM: f64 = 0.01;
 /// Cosine of the largest angle between the normals of contours of one stack (3 degrees).
 const SAME_NORMAL: f64 = 0.998_6;
 /// Maximum number of directions in which one structure's contours are drawn.
@@ -35,10 +33,6 @@ const MAX_STACKS: usize = 8;
 const MAX_DISTANCES: usize = 1 << 24;
 /// Maximum number of coarser rasters that are tried.
 const MAX_ATTEMPTS: usize = 16;
-/// A slice this close to a plane of contours is in it; and the extent of planes includes its lower
-/// end, but not its upper one, up to rounding.
-const IN_PLANE: f64 = 0.01;
-const ROUNDING: f64 = 1e-6;
 /// Marks voxels of several structures.
 const OVERLAP: u16 = 1 << 15;
 
@@ -54,95 +48,6 @@ pub struct LabelMap {
     pub gaps: Vec<usize>,
     /// Structures with contours that are left out, as they are drawn in too many directions.
     pub left_out: Vec<usize>,
-}
-
-/// Contours in parallel planes.
-struct Stack {
-    /// From voxels to the stack's frame: pixels in its planes, and planes in slices along z.
-    frame_from_voxel: DAffine3,
-    /// Millimetres from pixels, within a plane.
-    mm_from_pixel: DMat2,
-    /// Whether the frame is that of the voxels.
-    is_aligned: bool,
-    /// Positions of the planes, sorted, and their contours.
-    at: Vec<f64>,
-    planes: Vec<ContourPlane>,
-}
-
-/// Which planes determine a slice.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Section {
-    /// One plane.
-    In(usize),
-    /// A plane and the next one, and the position between them.
-    Between(usize, f64),
-    /// None.
-    Outside,
-}
-
-/// The distance of planes, in slices, and how large a gap between two of them is bridged.
-#[derive(Clone, Copy)]
-struct Spacing {
-    usual: f64,
-    bridge: f64,
-}
-
-impl Stack {
-    /// The lower median of the distances between planes.
-    fn median_gap(&self) -> Option<f64> {
-        let mut gaps: Vec<f64> = self.at.windows(2).map(|w| w[1] - w[0]).collect();
-        gaps.sort_by(f64::total_cmp);
-        gaps.get(gaps.len().saturating_sub(1) / 2).copied()
-    }
-
-    /// The spacing of the planes. `of_all` is that of all structures, for the few planes of one
-    /// that has no usual distance of its own.
-    fn spacing(&self, of_all: Option<f64>) -> Spacing {
-        let usual = match (self.median_gap(), of_all) {
-            (Some(own), Some(all)) if self.at.len() == 2 && own > 3.0 * all => all,
-            (Some(own), _) => own,
-            (None, all) => all.unwrap_or(1.0),
-        };
-        // A structure drawn on every slice has no contours where it has a gap.
-        let bridge = if usual <= 1.5 {
-            1.5 * usual.max(1.0)
-        } else {
-            3.0 * usual
-        };
-        Spacing { usual, bridge }
-    }
-
-    fn section(&self, at: f64, spacing: Spacing) -> Section {
-        let above = self.at.partition_point(|p| *p <= at);
-        let before = above.checked_sub(1).map(|n| (n, at - self.at[n]));
-        let after = self.at.get(above).map(|p| (above, p - at));
-        let half = 0.5 * spacing.usual;
-        match (before, after) {
-            (Some((n, d)), _) if d < IN_PLANE => Section::In(n),
-            (_, Some((n, d))) if d < IN_PLANE => Section::In(n),
-            (Some((n, a)), Some((_, b))) if a + b <= spacing.bridge => Section::Between(n, a / (a + b)),
-            (Some((n, d)), _) if d < half - ROUNDING => Section::In(n),
-            (_, Some((n, d))) if d <= half + ROUNDING => Section::In(n),
-            _ => Section::Outside,
-        }
-    }
-
-    /// Whether there is a gap that is not bridged.
-    fn has_gap(&self, spacing: Spacing) -> bool {
-        self.at.windows(2).any(|w| w[1] - w[0] > spacing.bridge)
-    }
-
-    /// The stack's extent in its frame, with the ends of the outermost planes.
-    fn bounds(&self, spacing: Spacing) -> [DVec3; 2] {
-        let ends = |plane: &ContourPlane| [plane.low, plane.high];
-        let (mut low, mut high) = (DVec2::splat(f64::INFINITY), DVec2::splat(f64::NEG_INFINITY));
-        for [a, b] in self.planes.iter().map(ends) {
-            (low, high) = (low.min(a), high.max(b));
-        }
-        let half = 0.5 * spacing.usual + IN_PLANE;
-        let (first, last) = (self.at.first().unwrap_or(&0.0), self.at.last().unwrap_or(&0.0));
-        [low.extend(first - half), high.extend(last + half)]
-    }
 }
 
 /// A grid, and the conversions between its voxels and the world.
@@ -198,18 +103,15 @@ impl Grid<'_> {
     /// The stack of contours parallel to the slices.
     fn aligned(&self, contours: Vec<(Vec<DVec3>, DVec3)>) -> Stack {
         let m = self.world_from_voxel.matrix3;
-        let same = SAME_PLANE.max(SAME_PLANE_MM / self.slice_mm()).min(MAX_SPREAD);
-        let (at, planes) = planes(contours.into_iter().map(|(c, _)| c).collect(), same);
         // The axes may be sheared: x along the columns, y perpendicular to it.
         let x = m.x_axis.normalize_or(DVec3::X);
         let y = (m.y_axis - x * m.y_axis.dot(x)).length();
-        Stack {
-            frame_from_voxel: DAffine3::IDENTITY,
-            mm_from_pixel: DMat2::from_cols_array(&[m.x_axis.length(), 0.0, m.y_axis.dot(x), y]),
-            is_aligned: true,
-            at,
-            planes,
-        }
+        Stack::new(
+            contours.into_iter().map(|(c, _)| c).collect(),
+            DAffine3::IDENTITY,
+            DMat2::from_cols_array(&[m.x_axis.length(), 0.0, m.y_axis.dot(x), y]),
+            self.slice_mm(),
+        )
     }
 
     /// The stack of contours with a common normal.
@@ -223,30 +125,21 @@ impl Grid<'_> {
             .first()
             .and_then(|(c, _)| c.first())
             .map_or(DVec3::ZERO, |p| self.world_from_voxel.transform_point3(*p));
-        let frame = |pixel: f64| {
+        let of_pixel = |pixel: f64| {
             let world_from_frame = DAffine3 {
                 matrix3: DMat3::from_cols(u * pixel, v * pixel, normal * step),
                 translation: origin,
             };
-            world_from_frame.inverse() * *self.world_from_voxel
-        };
-        let same = SAME_PLANE.max(SAME_PLANE_MM / step).min(MAX_SPREAD);
-        let make = |pixel: f64| {
-            let frame_from_voxel = frame(pixel);
-            let moved = contours
-                .iter()
-                .map(|(c, _)| c.iter().map(|p| frame_from_voxel.transform_point3(*p)).collect())
-                .collect();
-            let (at, planes) = planes(moved, same);
-            Stack {
+            let frame_from_voxel = world_from_frame.inverse() * *self.world_from_voxel;
+            let in_frame = |c: &[DVec3]| c.iter().map(|p| frame_from_voxel.transform_point3(*p)).collect();
+            Stack::new(
+                contours.iter().map(|(c, _)| in_frame(c)).collect(),
                 frame_from_voxel,
-                mm_from_pixel: DMat2::from_diagonal(DVec2::splat(pixel)),
-                is_aligned: false,
-                at,
-                planes,
-            }
+                DMat2::from_diagonal(DVec2::splat(pixel)),
+                step,
+            )
         };
-        let mut stack = make(pixel);
+        let mut stack = of_pixel(pixel);
         // Coarser pixels where the planes are too large to be held together.
         for _ in 0..MAX_ATTEMPTS {
             let excess = stack.distances() as f64 / MAX_DISTANCES as f64;
@@ -254,14 +147,14 @@ impl Grid<'_> {
                 break;
             }
             pixel *= 1.1 * excess.sqrt();
-            stack = make(pixel);
+            stack = of_pixel(pixel);
         }
         stack
     }
 
     /// The runs of a stack's voxels; a row's number is that of the row in the whole grid.
     fn runs(&self, stack: &Stack, spacing: Spacing, watch: &Watch) -> Result<Vec<Run>> {
-        if stack.is_aligned {
+        if stack.is_aligned() {
             self.runs_of_slices(stack, spacing, watch)
         } else {
             self.runs_across(stack, spacing, watch)
@@ -299,17 +192,17 @@ impl Grid<'_> {
                     (plane.low, plane.high)
                 };
                 let window = Window::around(low, high, [columns, rows]);
-                if !is_between || window.pixels() > MAX_DISTANCES {
-                    let mut found = Vec::new();
+                let [a, b] = [plane, next].map(|p| p.runs(&window));
+                let mut found = Vec::new();
+                if !is_between || a == b || window.pixels() > MAX_DISTANCES {
                     for &(k, section) in part {
                         let is_closer_to_next = matches!(section, Section::Between(_, t) if t >= 0.5);
-                        let plane = if is_closer_to_next { next } else { plane };
-                        found.extend(plane.runs(&window).into_iter().map(|r| in_slice(r, k, rows)));
+                        let closer = if is_closer_to_next { &b } else { &a };
+                        found.extend(closer.iter().map(|r| in_slice(r, k, rows)));
                     }
                     return Ok(found);
                 }
                 let [a, b] = [plane, next].map(|p| p.signed_distance(&window, stack.mm_from_pixel));
-                let mut found = Vec::new();
                 for &(k, section) in part {
                     watch.check()?;
                     let t = if let Section::Between(_, t) = section {
@@ -379,10 +272,10 @@ fn within(low: f64, high: f64, count: usize) -> std::ops::Range<usize> {
 }
 
 /// A run of a slice in the grid.
-fn in_slice(run: Run, slice: usize, rows: usize) -> Run {
+fn in_slice(run: &Run, slice: usize, rows: usize) -> Run {
     Run {
         row: slice * rows + run.row,
-        ..run
+        columns: run.columns.clone(),
     }
 }
 
@@ -405,98 +298,6 @@ pub fn doubled_area(corners: &[DVec3]) -> DVec3 {
         .windows(2)
         .map(|w| (w[0] - first).cross(w[1] - first))
         .sum()
-}
-
-/// Contours sorted into planes by their mean position along z; a plane starts at its first contour.
-fn planes(contours: Vec<Vec<DVec3>>, same_plane: f64) -> (Vec<f64>, Vec<ContourPlane>) {
-    let mean = |c: &[DVec3]| c.iter().map(|p| p.z).sum::<f64>() / c.len().max(1) as f64;
-    let mut sorted: Vec<(f64, Vec<DVec2>)> = contours
-        .into_iter()
-        .map(|c| (mean(&c), c.iter().map(|p| p.xy()).collect()))
-        .collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut at, mut planes) = (Vec::new(), Vec::new());
-    let mut rest = sorted.as_slice();
-    while let Some((first, _)) = rest.first() {
-        let count = rest.partition_point(|(z, _)| z - first <= same_plane).max(1);
-        let (own, others) = rest.split_at(count);
-        at.push(own.iter().map(|(z, _)| z).sum::<f64>() / count as f64);
-        planes.push(ContourPlane::new(own.iter().map(|(_, c)| c.as_slice())));
-        rest = others;
-    }
-    (at, planes)
-}
-
-/// The signed distances of all planes of an oblique stack, on a raster of its own.
-struct Raster {
-    origin: DVec2,
-    width: usize,
-    height: usize,
-    distances: Vec<Vec<f32>>,
-}
-
-impl Stack {
-    /// Number of pixels of all planes, with a margin.
-    fn distances(&self) -> usize {
-        let [low, high] = self.bounds(Spacing {
-            usual: 0.0,
-            bridge: 0.0,
-        });
-        let extent = (high - low).xy().ceil() + 4.0;
-        (extent.x * extent.y * self.planes.len() as f64).min(usize::MAX as f64) as usize
-    }
-}
-
-impl Raster {
-    fn new(stack: &Stack) -> Self {
-        let [low, high] = stack.bounds(Spacing {
-            usual: 0.0,
-            bridge: 0.0,
-        });
-        let origin = low.xy().floor() - 1.0;
-        let extent = (high.xy() - origin).ceil() + 2.0;
-        let window = Window {
-            columns: 0..extent.x.max(1.0) as usize,
-            rows: 0..extent.y.max(1.0) as usize,
-        };
-        let distances = stack
-            .planes
-            .par_iter()
-            .map(|plane| plane.moved(-origin).signed_distance(&window, stack.mm_from_pixel))
-            .collect();
-        Self {
-            origin,
-            width: window.columns.len(),
-            height: window.rows.len(),
-            distances,
-        }
-    }
-
-    /// Bilinear interpolation of a plane's signed distance; negative outside of the raster.
-    fn distance(&self, plane: usize, p: DVec2) -> f64 {
-        let p = p - self.origin;
-        let inside =
-            p.x >= 0.0 && p.y >= 0.0 && p.x < self.width as f64 - 1.0 && p.y < self.height as f64 - 1.0;
-        let Some(values) = self.distances.get(plane).filter(|_| inside) else {
-            return f64::NEG_INFINITY;
-        };
-        let (corner, f) = (p.floor(), p.fract());
-        let first = corner.y as usize * self.width + corner.x as usize;
-        let at = |n: usize| f64::from(values[first + n]);
-        let along = |n: usize| at(n) + (at(n + 1) - at(n)) * f.x;
-        along(0) + (along(self.width) - along(0)) * f.y
-    }
-
-    fn contains(&self, p: DVec2, section: Section) -> bool {
-        match section {
-            Section::In(n) => self.distance(n, p) > 0.0,
-            Section::Between(n, t) => {
-                let [a, b] = [n, n + 1].map(|n| self.distance(n, p));
-                a.is_finite() && a + (b - a) * t > 0.0
-            }
-            Section::Outside => false,
-        }
-    }
 }
 
 /// The structures as labels on a grid. Where structures overlap, the one with fewer voxels is used,
@@ -600,5 +401,194 @@ fn paint(labels: &mut [u16], runs: &[Run], columns: usize, voxels: &[[usize; 2]]
                 Some(_) => *label | OVERLAP,
             };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::Voxels;
+
+    const SIZE: [usize; 3] = [40, 36, 16];
+
+    fn circle(centre: [f64; 2], radius: f64, z: f64) -> Vec<DVec3> {
+        (0..1440)
+            .map(|n| {
+                let angle = n as f64 / 1440.0 * std::f64::consts::TAU;
+                (DVec2::from_array(centre) + radius * DVec2::from_angle(angle)).extend(z)
+            })
+            .collect()
+    }
+
+    /// A structure of contours in voxels of a grid.
+    fn structure(number: u32, grid: &DAffine3, contours: Vec<Vec<DVec3>>) -> Structure {
+        let contours = contours
+            .iter()
+            .map(|c| c.iter().map(|p| grid.transform_point3(*p)).collect())
+            .collect();
+        Structure {
+            number,
+            contours,
+            ..Structure::default()
+        }
+    }
+
+    fn map(structures: &[Structure], grid: &DAffine3) -> LabelMap {
+        label_map(Path::new("rs.dcm"), structures, SIZE, grid, &Watch::NONE).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// Compares every voxel with what a function of its indices says.
+    fn check(map: &LabelMap, expected: impl Fn(DVec3) -> u32) {
+        let voxels = Voxels::new(SIZE, map.values.clone());
+        for k in 0..SIZE[2] {
+            for j in 0..SIZE[1] {
+                for i in 0..SIZE[0] {
+                    let (found, p) = (voxels.at([i, j, k]), DVec3::new(i as f64, j as f64, k as f64));
+                    assert_eq!(found, f64::from(expected(p)), "{i} {j} {k}");
+                }
+            }
+        }
+    }
+
+    /// A rotated grid with voxels of 2, 3 and 4 mm, far from the origin.
+    fn turned() -> DAffine3 {
+        DAffine3 {
+            matrix3: DMat3::from_euler(glam::EulerRot::XYZ, 0.3, -0.5, 0.8)
+                * DMat3::from_diagonal(DVec3::new(2.0, 3.0, 4.0)),
+            translation: DVec3::new(-310.0, 120.5, 900.25),
+        }
+    }
+
+    #[test]
+    fn slices_hold_the_centres_inside() {
+        let centre = [18.3, 16.7];
+        for grid in [DAffine3::IDENTITY, turned()] {
+            let contours = (3..9).flat_map(|k| {
+                [
+                    circle(centre, 12.4, f64::from(k)),
+                    circle(centre, 5.2, f64::from(k)),
+                ]
+            });
+            let found = map(&[structure(2, &grid, contours.collect())], &grid);
+            let distance = |p: DVec3| p.xy().distance(centre.into());
+            check(&found, |p| {
+                2 * u32::from((3.0..9.0).contains(&p.z) && distance(p) < 12.4 && distance(p) > 5.2)
+            });
+            assert!(found.gaps.is_empty() && found.overlaps == 0);
+        }
+    }
+
+    #[test]
+    fn slices_between_contours_are_interpolated() {
+        let centre = [18.3, 16.7];
+        let grid = DAffine3::from_scale(DVec3::new(1.5, 1.5, 3.0));
+        // A cone drawn on every third slice; its ends extend by one and a half slices.
+        let radius = |z: f64| 4.13 + 0.8 * (z.clamp(2.0, 11.0) - 2.0);
+        let cone = |at: &[f64]| at.iter().map(|z| circle(centre, radius(*z), *z)).collect();
+        let found = map(&[structure(1, &grid, cone(&[2.0, 5.0, 8.0, 11.0]))], &grid);
+        check(&found, |p| {
+            u32::from((1.0..13.0).contains(&p.z) && p.xy().distance(centre.into()) < radius(p.z))
+        });
+        // Planes in the middle between slices, and planes closer than slices.
+        let half: Vec<f64> = (2..9).map(|n| f64::from(n) + 0.5).collect();
+        let fine: Vec<f64> = (0..25).map(|n| 2.1 + 0.25 * f64::from(n)).collect();
+        for (at, slices) in [(half, 2.0..9.0), (fine, 2.0..8.2)] {
+            let prism = at.iter().map(|z| circle(centre, 7.3, *z)).collect();
+            let found = map(&[structure(1, &grid, prism)], &grid);
+            check(&found, |p| {
+                u32::from(slices.contains(&p.z) && p.xy().distance(centre.into()) < 7.3)
+            });
+        }
+        // A structure drawn on every slice has a gap where it has none.
+        let parts: Vec<Vec<DVec3>> = [2.0, 3.0, 4.0, 7.0, 8.0].map(|z| circle(centre, 7.3, z)).into();
+        let found = map(&[structure(1, &grid, parts)], &grid);
+        assert_eq!(
+            (found.gaps.as_slice(), found.voxels[0][0] % 5),
+            ([0].as_slice(), 0)
+        );
+        check(&found, |p| {
+            let is_drawn = (2.0..5.0).contains(&p.z) || (7.0..9.0).contains(&p.z);
+            u32::from(is_drawn && p.xy().distance(centre.into()) < 7.3)
+        });
+    }
+
+    #[test]
+    fn contours_across_the_slices_fill_a_box() {
+        // Planes of constant x, 2 voxels apart: a box from one voxel before the first plane to one
+        // after the last one.
+        for grid in [DAffine3::from_scale(DVec3::new(1.5, 2.0, 3.0)), turned()] {
+            let planes = (0..8).map(|n| {
+                let x = 6.4 + 2.0 * f64::from(n);
+                [[5.3, 2.4], [25.6, 2.4], [25.6, 12.7], [5.3, 12.7]]
+                    .map(|[y, z]| DVec3::new(x, y, z))
+                    .to_vec()
+            });
+            let found = map(&[structure(1, &grid, planes.collect())], &grid);
+            check(&found, |p| {
+                let low = DVec3::new(5.4, 5.3, 2.4);
+                let high = DVec3::new(21.4, 25.6, 12.7);
+                u32::from(p.cmpgt(low).all() && p.cmplt(high).all())
+            });
+        }
+    }
+
+    #[test]
+    fn smaller_structures_are_in_front() {
+        let grid = DAffine3::IDENTITY;
+        let disc = |number: u32, radius: f64| {
+            let contours = (3..9).map(|k| circle([18.3, 16.7], radius, f64::from(k)));
+            structure(number, &grid, contours.collect())
+        };
+        let found = map(&[disc(1, 4.2), disc(2, 12.3), disc(300, 8.1)], &grid);
+        check(&found, |p| {
+            let d = p.xy().distance(DVec2::new(18.3, 16.7));
+            let is_inside = (3.0..9.0).contains(&p.z) && d < 12.3;
+            u32::from(is_inside)
+                * if d < 4.2 {
+                    1
+                } else if d < 8.1 {
+                    300
+                } else {
+                    2
+                }
+        });
+        assert_eq!(found.overlaps, found.voxels[2][0]);
+        assert_eq!(found.voxels[0][0], found.voxels[0][1]);
+        assert_eq!(found.values.type_name(), "u16");
+        // Of equal ones, the later one.
+        let found = map(&[disc(1, 4.2), disc(2, 4.2)], &grid);
+        assert_eq!((found.voxels[0][1], found.voxels[1][1]), (0, found.overlaps));
+    }
+
+    #[test]
+    fn odd_contours_are_harmless() {
+        let grid = turned();
+        let far = |v: f64| vec![DVec3::splat(-v), DVec3::new(v, -v, 3.0), DVec3::new(v, v, -v)];
+        let point = vec![DVec3::ONE; 3];
+        let line = vec![
+            DVec3::ZERO,
+            DVec3::X * 5.0,
+            DVec3::X * 9.0,
+            DVec3::new(0.0, 0.0, 9.0),
+        ];
+        let in_many_directions = (0..40).map(|n| {
+            let turn = DMat3::from_rotation_x(f64::from(n) * 0.1);
+            circle([0.0, 0.0], 5.0, 0.0)
+                .iter()
+                .map(|p| turn * *p + 8.0)
+                .collect()
+        });
+        let many = structure(3, &grid, in_many_directions.collect());
+        let found = map(
+            &[
+                structure(1, &grid, vec![far(1e5), far(1e6), point]),
+                structure(2, &grid, vec![line]),
+                many,
+            ],
+            &grid,
+        );
+        assert_eq!(found.left_out, [2]);
+        let empty = map(&[structure(1, &grid, Vec::new())], &grid);
+        assert_eq!(empty.voxels, [[0, 0]]);
     }
 }

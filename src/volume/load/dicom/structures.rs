@@ -11,8 +11,8 @@ use std::collections::{HashMap, HashSet};
 
 /// RT Structure Set storage.
 const STRUCTURE_SET: &str = "1.2.840.10008.5.1.4.1.1.481.3";
-/// Maximum number of structures that can be told apart in one label map.
-pub const MAX_STRUCTURES: usize = 32_767;
+/// Maximum number of structures; an atlas of the body has some hundred.
+const MAX_STRUCTURES: usize = 4096;
 /// Maximum number of names in one message.
 const MAX_NAMES: usize = 8;
 /// Largest coordinate of a contour, mm.
@@ -340,7 +340,9 @@ mod tests {
             names.push(roi);
             let mut roi = InMemDicomObject::new_empty();
             roi.put(DataElement::new(tags::REFERENCED_ROI_NUMBER, VR::IS, number));
-            roi.put(DataElement::new(tags::ROI_DISPLAY_COLOR, VR::IS, "255\\128\\0"));
+            let color = ["255", "128", "0"].map(String::from);
+            let color = PrimitiveValue::Strs(color.as_slice().into());
+            roi.put(DataElement::new(tags::ROI_DISPLAY_COLOR, VR::IS, color));
             roi.put(DataElement::new(tags::CONTOUR_SEQUENCE, VR::SQ, sequence(of)));
             contours.push(roi);
         }
