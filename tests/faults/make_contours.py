@@ -329,8 +329,10 @@ def make_sets(base):
     mask = filled
 
     name = "body-around-its-organs"
-    path = common(base).structures([(3, "Körper", on_slices(grid, body)), (1, "nodule", on_slices(grid, small)),
-                       (2, "organ", on_slices(grid, disc))], f"{name}.dcm")
+    path = common(base).structures([
+        (3, "Körper", on_slices(grid, body)), (1, "nodule", on_slices(grid, small)),
+        (2, "organ", on_slices(grid, disc)),
+    ], f"{name}.dcm")
     labels = 3 * mask(body)
     labels[mask(disc)] = 2
     labels[mask(small)] = 1
@@ -344,7 +346,9 @@ def make_sets(base):
     folder.structures([(1, "organ", on_slices(grid, disc))], label="first plan")
     add(name, name, "the CT series is the default", size=list(SIZE), series=2, modality="CT",
         values=[[3, 5, 2, 30 + 5 - 200], [31, 27, 9, 310 + 27 - 900]], warns=["2 series"])
-    for wanted, case in (("2", "chosen-by-number"), ("first", "chosen-by-label")):
+    for wanted, case in (
+        ("2", "chosen-by-number"), ("first", "chosen-by-label"), ("RTSTRUCT", "chosen-by-modality"),
+    ):
         add(case, name, EVEN_ODD, options={"series": wanted}, size=list(SIZE), series=2,
             modality="RTSTRUCT", labels={"1": "organ"}, **voxels(mask(disc).astype(int)))
 
@@ -392,8 +396,8 @@ def make_sets(base):
 
     name = "xor-contours"
     crossing = {k: [circle(12.2, 13.1, 7.3), circle(19.1, 14.2, 6.4)] for k in range(2, 8)}
-    path = common(base).structures([(1, "organ", [("CLOSEDPLANAR_XOR", c) for c in on_slices(grid, crossing)])],
-                                   f"{name}.dcm")
+    contours = [("CLOSEDPLANAR_XOR", c) for c in on_slices(grid, crossing)]
+    path = common(base).structures([(1, "organ", contours)], f"{name}.dcm")
     add(name, path, "PS3.3 C.8.8.6.3, " + EVEN_ODD, size=list(SIZE),
         **voxels(mask(crossing).astype(int)))
 
@@ -403,16 +407,18 @@ def make_sets(base):
         **voxels(mask(disc).astype(int)))
 
     name = "roi-number-0"
-    path = common(base).structures([(0, "organ", on_slices(grid, disc)), (1, "nodule", on_slices(grid, small))],
-                                   f"{name}.dcm")
+    path = common(base).structures([
+        (0, "organ", on_slices(grid, disc)), (1, "nodule", on_slices(grid, small)),
+    ], f"{name}.dcm")
     labels = mask(disc).astype(int)
     labels[mask(small)] = 2
     add(name, path, EVEN_ODD, size=list(SIZE), labels={"1": "organ", "2": "nodule"},
         warns=["numbered from 1"], **voxels(labels))
 
     name = "more-than-255-labels"
-    path = common(base).structures([(300, "organ", on_slices(grid, disc)), (7, "nodule", on_slices(grid, small))],
-                                   f"{name}.dcm")
+    path = common(base).structures([
+        (300, "organ", on_slices(grid, disc)), (7, "nodule", on_slices(grid, small)),
+    ], f"{name}.dcm")
     labels = 300 * mask(disc)
     labels[mask(small)] = 7
     add(name, path, EVEN_ODD, size=list(SIZE), labels={"7": "nodule", "300": "organ"},
@@ -420,9 +426,10 @@ def make_sets(base):
 
 
 def make_alone(base):
-    """Structure sets without their images: a prism of 5 planes, 3 mm apart, 40 x 150 mm."""
+    """Structure sets without images: a prism of 5 planes, 3 mm apart, 40 x 150 mm."""
     grid = Grid()
-    for name, axes in (("no-images", np.eye(3)), ("no-images-coronal", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))):
+    coronal = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    for name, axes in (("no-images", np.eye(3)), ("no-images-coronal", coronal)):
         folder = Folder(base, name)
         corners = box(0.2, 0.3, 40.2, 150.3)
         contours = [

@@ -13,8 +13,8 @@
 use glam::{DMat2, DVec2};
 use std::ops::Range;
 
-/// Coordinates are rounded to this fraction of a pixel, so that a conversion from millimetres returns
-/// centres exactly.
+/// Coordinates are rounded to this fraction of a pixel, so that a conversion from millimetres
+/// returns centres exactly.
 const STEPS_PER_PIXEL: f64 = 1e6;
 /// Maximum number of pixels that are filled at a time.
 const MAX_BAND: usize = 1 << 22;
@@ -291,8 +291,8 @@ impl<'a> DistanceField<'a> {
     }
 
     /// Moves along the rings from the closest edge to an even closer one, by strides of as many
-    /// edges as there are in a pixel, and then by shorter ones: of many edges within one pixel, only
-    /// one is passed on.
+    /// edges as there are in a pixel, and then by shorter ones: of many edges within one pixel,
+    /// only one is passed on.
     fn refine(&mut self) {
         let length: f64 = self.edges.iter().map(|e| e.from.distance(e.to)).sum();
         let per_pixel = self.edges.len() as f64 / length.max(1.0);
@@ -421,10 +421,10 @@ mod tests {
     fn a_contour_through_centres_has_its_area() {
         let corners = |points: &[[f64; 2]]| points.iter().map(|p| DVec2::from_array(*p)).collect::<Vec<_>>();
         let square = corners(&[[10.0, 10.0], [20.0, 10.0], [20.0, 20.0], [10.0, 20.0]]);
-        let found = pixels(&plane(&[square.clone()]));
+        let found = pixels(&plane(std::slice::from_ref(&square)));
         assert_eq!((found.len(), found[0], found[99]), (100, [10, 10], [19, 19]));
         let next = corners(&[[20.0, 10.0], [24.0, 10.0], [24.0, 20.0], [20.0, 20.0]]);
-        assert_eq!(pixels(&plane(&[next.clone()])).len(), 40);
+        assert_eq!(pixels(&plane(std::slice::from_ref(&next))).len(), 40);
         assert_eq!(pixels(&plane(&[square.clone(), next])).len(), 140);
         assert_eq!(pixels(&plane(&[square.clone(), square])).len(), 0);
         // A bow tie, which crosses itself.

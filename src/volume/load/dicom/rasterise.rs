@@ -66,7 +66,7 @@ impl Grid<'_> {
 
     /// The stacks of a structure's contours, and whether contours are left out.
     fn stacks(&self, structure: &Structure) -> (Vec<Stack>, bool) {
-        // Contours of a structure in voxels and with their normals, times twice their areas, in mm².
+        // Contours in voxels, and their normals times twice their areas, mm².
         let mut rest: Vec<(Vec<DVec3>, DVec3)> = structure
             .contours
             .iter()

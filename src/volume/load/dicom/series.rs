@@ -43,7 +43,7 @@ pub fn described(series: &DicomSeries, objects: &[Object]) -> String {
     )
 }
 
-/// The series with a given number, UID or part of a description.
+/// The series with a given number, UID, part of a description, or modality.
 pub fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<usize> {
     let valid_names = || {
         all.iter()
@@ -74,16 +74,20 @@ pub fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<u
                 .to_lowercase()
                 .contains(&wanted.to_lowercase())
     };
-    all.iter().position(fits).ok_or_else(|| {
-        Error::value(
-            "series",
-            format!(
-                "\"{wanted}\" matches none of the {} series: {}",
-                all.len(),
-                valid_names()
-            ),
-        )
-    })
+    let has_modality = |s: &DicomSeries| objects[s.object].modality.eq_ignore_ascii_case(wanted);
+    let found = all.iter().position(fits);
+    found
+        .or_else(|| all.iter().position(has_modality))
+        .ok_or_else(|| {
+            Error::value(
+                "series",
+                format!(
+                    "\"{wanted}\" matches none of the {} series: {}",
+                    all.len(),
+                    valid_names()
+                ),
+            )
+        })
 }
 
 /// Unit normal of a frame's plane.
