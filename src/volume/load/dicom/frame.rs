@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use std::cmp::Ordering;
 
 /// The storage of pixels.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct PixelFormat {
     pub rows: u16,
     pub columns: u16,

@@ -7,10 +7,14 @@
 //! axes. Uneven spacing and missing slices are reported with their positions, and resampled only on
 //! request.
 //!
+//! A structure set has contours instead of frames; it is a series of its own, read as a label map.
+//!
 //! Source: DICOM PS3.3 C.7.6.2 (image plane), C.7.6.16 (functional groups), C.8.20 (segmentation).
 
 mod attributes;
 mod characters;
+mod contour_plane;
+mod contour_stack;
 mod dataset;
 mod element;
 mod elements;
@@ -23,10 +27,13 @@ mod object;
 mod palette;
 mod pixels;
 mod placement;
+mod rasterise;
 mod rle;
 mod scan;
 mod series;
 mod siblings;
+mod structure_volume;
+mod structures;
 mod syntax;
 mod time_keys;
 mod times;
@@ -44,6 +51,7 @@ use serde_json::json;
 use series::{DicomSeries, chosen, described, places, series};
 use std::collections::BTreeSet;
 use std::path::Path;
+use structure_volume::structure_volume;
 use syntax::syntax_name;
 use volume::volume;
 
@@ -132,7 +140,7 @@ fn nothing(path: &Path, found: ScanResult) -> Error {
 /// [`Error::Cancelled`].
 pub fn any(path: &Path, watch: &Watch) -> Result<bool> {
     let found = scan(path, watch)?;
-    Ok(!found.objects.is_empty() || found.complaint.is_some())
+    Ok(found.objects.iter().any(|o| !o.is_structure_set()) || found.complaint.is_some())
 }
 
 /// Reads one series.
@@ -180,15 +188,14 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         progress: &reading,
         cancel: watch.cancel,
     };
-    let mut image = volume(
-        path,
-        &found.objects,
-        &series.times[time],
-        choice,
-        &watch,
-        &mut warnings,
-    )?;
     let object = &found.objects[series.object];
+    let mut image = if object.is_structure_set() {
+        let others = (found.objects.as_slice(), all.as_slice());
+        structure_volume(path, object, others, choice, &watch, &mut warnings)?
+    } else {
+        let frames = &series.times[time];
+        volume(path, &found.objects, frames, choice, &watch, &mut warnings)?
+    };
     image.details.extend([
         ("modality", json!(object.modality)),
         ("series", json!({ "number": index + 1, "of": all.len(), "uid": object.series, "description": object.description })),

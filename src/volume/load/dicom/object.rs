@@ -9,6 +9,7 @@ use super::increments::SliceDistance;
 use super::location::ObjectLocation;
 use super::mosaic::Mosaic;
 use super::palette::{Palette, palette};
+use super::structures::{is_structure_set, label_of};
 use super::syntax::{DEFLATED, GE_BIG_ENDIAN_PIXELS, max_compression_ratio};
 use crate::panic_guard::catch_panic;
 use crate::volume::Label;
@@ -64,6 +65,11 @@ pub struct Object {
 }
 
 impl Object {
+    /// Whether it is a structure set: it has contours instead of frames.
+    pub fn is_structure_set(&self) -> bool {
+        self.frames.is_empty()
+    }
+
     /// Pixels along a row and a column of a slice.
     pub fn plane(&self) -> [usize; 2] {
         let picture = [usize::from(self.format.columns), usize::from(self.format.rows)];
@@ -77,7 +83,7 @@ impl Object {
     }
 }
 
-/// An object's header; none if it contains no pixels.
+/// An object's header; none if it contains neither pixels nor contours.
 pub fn object(source: ObjectLocation) -> Result<Option<Object>> {
     let path = source.path().to_owned();
     let ended = || Error::file(&path, "is a damaged DICOM file; copy or export it again");
@@ -219,11 +225,11 @@ fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
     }
 }
 
-/// The object that a header describes; none if it has no pixels.
+/// The object that a header describes; none if it has neither pixels nor contours.
 fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<Option<Object>> {
     let set = &data.elements;
     let (Some(format), Some(pixels)) = (pixel_format(set), data.pixels) else {
-        return Ok(None);
+        return Ok(is_structure_set(set).then(|| structure_set(source, syntax, set)));
     };
     let fail = |problem: String| Error::file(source.path(), problem);
     check_format(&format).map_err(fail)?;
@@ -270,6 +276,39 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         syntax,
         source,
     }))
+}
+
+/// A structure set, which has no frames.
+fn structure_set(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Object {
+    Object {
+        instance: text(set, tags::SOP_INSTANCE_UID),
+        segments_as: SegmentsAs::Labels,
+        series: text(set, tags::SERIES_INSTANCE_UID),
+        series_number: number(set, tags::SERIES_NUMBER).map(|n| n as i64),
+        description: label_of(set),
+        modality: "RTSTRUCT".into(),
+        patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
+        warning: None,
+        pictures: 0,
+        pixels: PixelElement {
+            offset: 0,
+            length: Some(0),
+            big_endian: false,
+        },
+        tile: None,
+        padding: None,
+        slice_distance: SliceDistance::Unstated,
+        reference: String::new(),
+        value_table: None,
+        inverted: false,
+        segmentation: false,
+        segments: Vec::new(),
+        palette: None,
+        frames: Vec::new(),
+        format: PixelFormat::default(),
+        syntax,
+        source,
+    }
 }
 
 /// Names and colours of segments.

@@ -39,6 +39,19 @@ pub struct DicomSeries {
     pub ambiguous: bool,
 }
 
+impl DicomSeries {
+    /// Frames of one time.
+    fn of_one(object: usize, frames: Vec<Frame>) -> Self {
+        Self {
+            object,
+            times: vec![frames],
+            by: TimePoints::default(),
+            duplicates: 0,
+            ambiguous: false,
+        }
+    }
+}
+
 /// Describes a series in messages: its modality, number, description and number of slices.
 pub fn described(series: &DicomSeries, objects: &[Object]) -> String {
     let object = &objects[series.object];
@@ -50,6 +63,9 @@ pub fn described(series: &DicomSeries, objects: &[Object]) -> String {
     } else {
         format!(" \"{}\"", object.description)
     };
+    if object.is_structure_set() {
+        return format!("{} series {number}{description}", object.modality);
+    }
     format!(
         "{} series {number}{description}, {} slices",
         object.modality,
@@ -57,7 +73,7 @@ pub fn described(series: &DicomSeries, objects: &[Object]) -> String {
     )
 }
 
-/// The series with a given number, UID or part of a description.
+/// The series with a given number, UID, part of a description, or modality.
 pub fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<usize> {
     let valid_names = || {
         all.iter()
@@ -88,16 +104,20 @@ pub fn chosen(wanted: &str, all: &[DicomSeries], objects: &[Object]) -> Result<u
                 .to_lowercase()
                 .contains(&wanted.to_lowercase())
     };
-    all.iter().position(fits).ok_or_else(|| {
-        Error::value(
-            "series",
-            format!(
-                "\"{wanted}\" matches none of the {} series: {}",
-                all.len(),
-                valid_names()
-            ),
-        )
-    })
+    let has_modality = |s: &DicomSeries| objects[s.object].modality.eq_ignore_ascii_case(wanted);
+    let found = all.iter().position(fits);
+    found
+        .or_else(|| all.iter().position(has_modality))
+        .ok_or_else(|| {
+            Error::value(
+                "series",
+                format!(
+                    "\"{wanted}\" matches none of the {} series: {}",
+                    all.len(),
+                    valid_names()
+                ),
+            )
+        })
 }
 
 /// Unit normal of a frame's plane.
@@ -146,7 +166,8 @@ fn is_like(a: &Frame, b: &Frame) -> bool {
     directions && spacings
 }
 
-/// Groups frames by their common attributes, the largest series first.
+/// Groups frames by their common attributes, the largest series first. Structure sets follow, each
+/// as a series without frames.
 pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
     let names = names(objects);
     let mut groups: BTreeMap<String, Vec<Vec<Frame>>> = BTreeMap::new();
@@ -169,7 +190,9 @@ pub fn series(objects: &[Object]) -> Vec<DicomSeries> {
         places(&s.times[0]).len() * rows * columns
     };
     // Ties keep the order of the groups, which is reproducible.
-    all.sort_by_key(|s| std::cmp::Reverse(voxels(s)));
+    all.sort_by_cached_key(|s| std::cmp::Reverse(voxels(s)));
+    let structure_sets = (0..objects.len()).filter(|o| objects[*o].is_structure_set());
+    all.extend(structure_sets.map(|object| DicomSeries::of_one(object, Vec::new())));
     all
 }
 
@@ -236,7 +259,7 @@ fn group_sizes(sorted: &[f64], tolerance: f64) -> Vec<usize> {
 
 /// Distinct positions along the normal, sorted.
 pub fn places(frames: &[Frame]) -> Vec<f64> {
-    if frames.iter().any(|f| f.position.is_none()) {
+    if frames.is_empty() || frames.iter().any(|f| f.position.is_none()) {
         return (0..frames.len()).map(|n| n as f64).collect();
     }
     let unit = normal(&frames[0]);
@@ -250,13 +273,7 @@ pub fn places(frames: &[Frame]) -> Vec<f64> {
 /// A group of frames sorted along its normal, divided into volumes.
 fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let object = frames.first().map_or(0, |f| f.object);
-    let one = |frames: Vec<Frame>| DicomSeries {
-        object,
-        times: vec![frames],
-        by: TimePoints::default(),
-        duplicates: 0,
-        ambiguous: false,
-    };
+    let one = |frames: Vec<Frame>| DicomSeries::of_one(object, frames);
     if frames.iter().any(|f| f.position.is_none()) {
         sort_unplaced(&mut frames, objects);
         return one(frames);

@@ -142,7 +142,7 @@ pub fn volume(
 
 /// Rejects, before anything is allocated, volumes most of whose objects cannot be decoded or cannot
 /// contain their pixels.
-fn check_objects(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
+pub fn check_objects(path: &Path, objects: &[Object], frames: &[Frame]) -> Result<()> {
     let all: BTreeSet<usize> = frames.iter().map(|f| f.object).collect();
     let mut failed = Vec::new();
     for object in all.iter().map(|o| &objects[*o]) {
