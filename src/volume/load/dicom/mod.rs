@@ -11,6 +11,7 @@ mod dataset;
 mod element;
 mod frames;
 mod location;
+mod origin;
 mod pixels;
 mod placement;
 mod scan;
@@ -20,6 +21,7 @@ mod values;
 mod volume;
 
 pub use dataset::is_dicom;
+pub use origin::{Origin, OriginInstance};
 
 use super::ReadOptions;
 use super::image::Image;
