@@ -23,4 +23,4 @@ pub mod reference;
 pub mod unfinished;
 
 pub use output::{OutputFile, check_distinct, standard_output};
-pub use output_folder::OutputFolder;
+pub use output_folder::{OutputFolder, names_folder};

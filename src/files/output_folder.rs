@@ -19,6 +19,20 @@ pub struct OutputFolder {
     part: PartFolder,
 }
 
+/// Whether an output path names a folder: an existing one, one with a separator at its end, or a
+/// name without extension that does not exist.
+pub fn names_folder(path: &Path) -> bool {
+    let separator = path
+        .as_os_str()
+        .as_encoded_bytes()
+        .last()
+        .is_some_and(|b| *b == b'/' || cfg!(windows) && *b == b'\\');
+    match path.metadata() {
+        Ok(there) => there.is_dir(),
+        Err(_) => separator || path.extension().is_none() && path != Path::new("-"),
+    }
+}
+
 impl OutputFolder {
     /// Checks that a folder can be written: it does not exist yet, or is empty.
     ///
@@ -146,6 +160,16 @@ mod tests {
             .and_then(|()| folder.finish())
             .unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(names(around.path()), ["out"]);
+        for (name, is_folder) in [
+            ("out", true),
+            ("out/a", false),
+            ("new", true),
+            ("new.nii/", true),
+            ("new.nii", false),
+        ] {
+            assert_eq!(names_folder(&around.path().join(name)), is_folder, "{name}");
+        }
+        assert!(!names_folder(Path::new("-")) && !names_folder(Path::new("/dev/null")));
         assert_eq!(std::fs::read(path.join("a")).ok().as_deref(), Some(&b"0xy3"[..]));
         // It is not filled a second time.
         assert!(OutputFolder::create(&path).is_err_and(|e| e.to_string().contains("not empty")));

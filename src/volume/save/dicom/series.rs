@@ -278,8 +278,11 @@ fn values(set: &mut Attributes, volume: &Volume, encoding: &PixelEncoding, class
     if stated || encoding.rescale != Rescale::NONE {
         set.decimals(tags::RESCALE_INTERCEPT, &[encoding.rescale.intercept]);
         set.decimals(tags::RESCALE_SLOPE, &[encoding.rescale.slope]);
-        let unit = if class == StorageClass::Ct { "HU" } else { "US" };
-        set.text_if_missing(tags::RESCALE_TYPE, VR::LO, unit);
+        match class {
+            StorageClass::Ct => set.text_if_missing(tags::RESCALE_TYPE, VR::LO, "HU"),
+            StorageClass::Pet => {}
+            _ => set.text(tags::RESCALE_TYPE, VR::LO, "US"),
+        }
     }
     let [low, high] = volume.window(None, None);
     if high > low && (high - low).is_finite() {
