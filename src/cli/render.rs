@@ -84,7 +84,7 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     stages.0.extend(prepared.stages.0.iter().copied());
     stages.0.extend(rendered.stages.0.iter().copied());
     let bytes = stages.time("encode", || {
-        { encoded(arguments, &scene, origin.as_ref(), &rendered.picture) }
+        encoded(arguments, &scene, origin.as_ref(), &rendered.picture)
     })?;
     stages.time("write", || output.finish(&bytes))?;
     let total = start.elapsed().as_secs_f64() * 1e3;
