@@ -94,6 +94,8 @@ const PET: &[Tag] = &[
     tags::ACTUAL_FRAME_DURATION,
     tags::DECAY_FACTOR,
     tags::DOSE_CALIBRATION_FACTOR,
+    tags::PATIENT_ORIENTATION_CODE_SEQUENCE,
+    tags::PATIENT_GANTRY_RELATIONSHIP_CODE_SEQUENCE,
 ];
 /// The tracer, without the times of its injection.
 const TRACER: &[Tag] = &[
@@ -225,7 +227,12 @@ impl Attributes {
     /// Adds empty elements where there are none.
     pub fn present(&mut self, wanted: &[(Tag, VR)]) {
         for (tag, vr) in wanted {
-            if self.0.get(*tag).is_none() {
+            if self.0.get(*tag).is_some() {
+                continue;
+            }
+            if *vr == VR::SQ {
+                self.sequence(*tag, []);
+            } else {
                 self.0.put(DataElement::new(*tag, *vr, PrimitiveValue::Empty));
             }
         }
@@ -376,6 +383,7 @@ fn copy_pet(set: &mut Attributes, origin: &Origin, patient: bool) {
             );
         }
     }
+    tracer.present(&[(tags::RADIONUCLIDE_CODE_SEQUENCE, VR::SQ)]);
     set.sequence(tags::RADIOPHARMACEUTICAL_INFORMATION_SEQUENCE, [tracer]);
     if patient {
         set.copy(
@@ -405,6 +413,8 @@ fn copy_pet(set: &mut Attributes, origin: &Origin, patient: bool) {
         (tags::CORRECTED_IMAGE, VR::CS),
         (tags::ACQUISITION_DATE, VR::DA),
         (tags::ACQUISITION_TIME, VR::TM),
+        (tags::PATIENT_ORIENTATION_CODE_SEQUENCE, VR::SQ),
+        (tags::PATIENT_GANTRY_RELATIONSHIP_CODE_SEQUENCE, VR::SQ),
     ]);
 }
 
