@@ -1,5 +1,5 @@
-//! `incise bake`: writes the deformed volume, resampled, to a file or a DICOM series, or the composed
-//! displacement to a file.
+//! `incise bake`: writes the deformed volume, resampled, to a file or as DICOM, or the composed
+//! displacement.
 
 use super::arguments;
 use super::common::check_patient;
@@ -40,8 +40,8 @@ pub struct BakeArguments {
     input: PathBuf,
     #[command(flatten)]
     volume: arguments::VolumeArguments,
-    /// The file to write: .nii.gz, .nii, .nrrd, .mha or .vti; or a new folder (a name without
-    /// extension) for a DICOM series, one file for each slice.
+    /// The file to write: .nii.gz, .nii, .nrrd, .mha or .vti; or DICOM: a new folder (a name
+    /// without extension) for a series of slices, .dcm for the segmentation of a label map.
     #[arg(short, long, value_name = "OUT.nii.gz|FOLDER")]
     output: PathBuf,
     /// Add a deformation after the scene's own; repeat for more, applied in order.
@@ -77,6 +77,8 @@ enum Output {
     File(Format, OutputFile),
     /// A DICOM series.
     Series(OutputFolder),
+    /// A DICOM segmentation.
+    Segmentation(OutputFile),
 }
 
 impl Output {
@@ -90,27 +92,31 @@ impl Output {
                 .map(PathBuf::as_path)
                 .chain([arguments.input.as_path()])
         };
-        let named = || format!("--output {}", path.display());
-        if names_folder(path) {
-            if arguments.field {
-                return Err(Error::value(
-                    named(),
-                    "a folder gets DICOM slices, which cannot hold a displacement field; name a file that ends in .nii.gz, .nrrd, .mha or .vti",
-                ));
-            }
+        let is_folder = names_folder(path);
+        if arguments.field && (is_folder || dicom::is_dicom_name(path)) {
+            return Err(Error::value(
+                format!("--output {}", path.display()),
+                "DICOM slices cannot hold a displacement field; name a file that ends in .nii.gz, .nrrd, .mha or .vti",
+            ));
+        }
+        if is_folder {
             protect_folder("--output", path, read())?;
             return OutputFolder::create(path).map(Self::Series);
         }
         if dicom::is_dicom_name(path) {
-            return Err(Error::value(
-                named(),
-                "a volume is a DICOM series, one file for each slice; name a new folder",
-            ));
+            if arguments.interpolation.is_some() || arguments.fill.is_some() {
+                return Err(Error::value(
+                    "--interpolation, --fill",
+                    "do not apply to a DICOM segmentation: labels are not interpolated, and outside there is no label",
+                ));
+            }
+            protect("--output", path, read().collect::<Vec<_>>())?;
+            return OutputFile::create(path).map(Self::Segmentation);
         }
         if arguments.patient {
             return Err(Error::value(
                 "--patient",
-                "applies to DICOM output, which is a folder; this output is a file of another format",
+                "applies to DICOM output: a folder, or a .dcm file; this output has another format",
             ));
         }
         let format = Format::of(path)?;
@@ -146,7 +152,7 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
             ..LoadOptions::default()
         },
     )?;
-    if let Output::File(_, file) = &output {
+    if let Output::File(_, file) | Output::Segmentation(file) = &output {
         file.check()?;
     }
     let volume = &assets.volume;
@@ -170,15 +176,24 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
         fill: arguments.fill,
         progress: Some(&progress),
     };
+    let origin = match output {
+        Output::File(..) => None,
+        _ => dicom::origin(&scene, volume, &Watch::NONE)?,
+    };
+    check_patient(arguments.patient, origin.as_ref(), &scene)?;
+    let derivation = |content| dicom::derivation(&scene, content, origin.as_ref(), arguments.patient);
     let mut written_notices = Vec::new();
     match output {
         Output::Series(folder) => {
-            let origin = dicom::origin(&scene, volume, &Watch::NONE)?;
-            check_patient(arguments.patient, origin.as_ref(), &scene)?;
-            let derivation =
-                dicom::derivation(&scene, DicomContent::Volume, origin.as_ref(), arguments.patient);
-            written_notices =
-                bake::dicom_series(volume, &deformation, &grid, folder, &derivation, &options)?;
+            let derivation = derivation(DicomContent::Volume);
+            written_notices = bake::dicom_series(volume, &deformation, &grid, folder, &derivation, &options)?;
+        }
+        Output::Segmentation(file) => {
+            let derivation = derivation(DicomContent::Labels);
+            let (bytes, notices) =
+                bake::dicom_segmentation(volume, &deformation, &grid, &derivation, &progress)?;
+            file.finish(&bytes)?;
+            written_notices = notices;
         }
         Output::File(format, file) => file.finish_with(|out| {
             if !arguments.field {
@@ -210,6 +225,12 @@ fn notices(arguments: &BakeArguments, scene: &Scene, assets: &Assets) -> Vec<Str
     if volume.colors.is_some() && !arguments.field {
         all.push(format!(
             "{}: colours are not baked; brightness is written instead (use --channel to choose one channel)",
+            scene.volume_name()
+        ));
+    }
+    if volume.labels().is_some() && names_folder(&arguments.output) {
+        all.push(format!(
+            "{}: the label map is written as slices of numbers; name a .dcm file for a segmentation with names and colours",
             scene.volume_name()
         ));
     }

@@ -4,7 +4,7 @@
 mod series;
 mod slabs;
 
-pub use series::dicom_series;
+pub use series::{dicom_segmentation, dicom_series};
 
 use super::rows::{BakeRow, BakeRows};
 use crate::deform::{Stack, StackAndCuts};

@@ -14,6 +14,8 @@ pub enum DicomContent {
     Picture,
     /// The deformed volume.
     Volume,
+    /// The deformed label map.
+    Labels,
 }
 
 /// Whether a path names a DICOM file, by its extension.
@@ -49,7 +51,7 @@ pub fn derivation<'a>(
         .map(|d| d.kind.as_str())
         .collect();
     let done = match (content, scene.render.mode) {
-        (DicomContent::Volume, _) => "Resampled",
+        (DicomContent::Volume | DicomContent::Labels, _) => "Resampled",
         (DicomContent::Picture, Mode::Surface) => "Surface rendering",
         (DicomContent::Picture, _) => "Volume rendering",
     };
@@ -62,6 +64,7 @@ pub fn derivation<'a>(
     let name = match content {
         DicomContent::Picture => "Rendering",
         DicomContent::Volume => "Deformed volume",
+        DicomContent::Labels => "Deformed labels",
     };
     Derivation {
         description,

@@ -10,7 +10,7 @@ use incise::export::bake::{self, BakeOptions};
 use incise::files::OutputFolder;
 use incise::volume::load::{self, ReadOptions};
 use incise::volume::save::dicom::Derivation;
-use incise::volume::{Rescale, StoredValues, Volume, Voxels};
+use incise::volume::{Label, Rescale, StoredValues, Volume, Voxels};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -472,6 +472,95 @@ pub fn nothing_is_mixed_or_lost() {
     succeeds(&["bake", ball, "-o", text(&at("empty.d"))]);
     succeeds(&["bake", ball, "-o", text(&at("new.d/"))]);
     assert_eq!((files(&at("empty.d")).len(), files(&at("new.d")).len()), (8, 8));
+}
+
+/// Segments have the labels' order, names and colours, and cover the whole grid.
+pub fn label_maps_become_segmentations() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (stack, cuts) = (Stack::default(), CutShapes::default());
+    let deformation = StackAndCuts {
+        stack: &stack,
+        cuts: &cuts,
+    };
+    let derivation = Derivation {
+        description: "Nothing was done".into(),
+        series_description: "Labels".into(),
+        origin: None,
+        patient: false,
+    };
+    // The first and the last slice are empty; 15 pixels do not fill bytes.
+    let grids = [
+        (oblique_and_tilted(1.0), vec![1u32, 2, 3]),
+        (oblique_and_tilted(1.0), vec![7, 70, 100_000]),
+        (DAffine3::IDENTITY, vec![5, 6, 7]),
+    ];
+    for (n, (to_world, labels)) in grids.into_iter().enumerate() {
+        let index = |n: usize| match n / 15 {
+            1 => 1 + n % 2,
+            3 => 3 * usize::from(n % 4 == 0),
+            _ => 0,
+        };
+        let values: Vec<u32> = (0..90)
+            .map(|n| index(n).checked_sub(1).map_or(0, |l| labels[l]))
+            .collect();
+        let voxels = Voxels::new([5, 3, 6], values);
+        let mut v = Volume::new(voxels, Rescale::NONE, to_world)
+            .into_label_map()
+            .unwrap();
+        v.label_table = vec![Label {
+            value: labels[1],
+            name: "Große Leber".into(),
+            color: Some([200, 30, 77]),
+        }];
+        let (bytes, notices) =
+            bake::dicom_segmentation(&v, &deformation, &v.geometry(), &derivation, &|_| ()).unwrap();
+        assert_eq!(notices.len(), usize::from(n > 0), "{notices:?}");
+        let path = at(&format!("{n}.dcm"));
+        std::fs::write(&path, bytes).unwrap();
+        let back = read(&path);
+        assert_eq!(
+            (back.size, back.labels(), back.declared_labels),
+            ([5, 3, 6], Some(3), true)
+        );
+        assert!(back.warnings.is_empty(), "{:?}", back.warnings);
+        let off = apart(&back.world_from_voxel, &to_world, v.size);
+        assert!(off < 1e-6, "{off} mm off");
+        for voxel in 0..90 {
+            assert_eq!(back.voxels.get(voxel), index(voxel) as f64, "{n}: {voxel}");
+        }
+        let second = back.label_table.iter().find(|l| l.value == 2).unwrap();
+        assert_eq!(
+            (second.name.as_str(), second.color),
+            ("Große Leber", Some([200, 30, 77]))
+        );
+        let first = back.label_table.iter().find(|l| l.value == 1).unwrap();
+        assert_eq!(first.name, format!("Label {}", labels[0]));
+    }
+    // What is not a label map is refused, and so are options that cannot act.
+    let refused = |arguments: &[&str], fragment: &str| {
+        let output = incise(arguments);
+        assert!(
+            !output.status.success() && message(&output).contains(fragment),
+            "{}",
+            message(&output)
+        );
+    };
+    let source = series_of_a_patient();
+    refused(
+        &["bake", text(&source), "-o", text(&at("a.dcm"))],
+        "not a label map",
+    );
+    let octants = "phantom:octants:size=8";
+    refused(
+        &["bake", octants, "--field", "-o", text(&at("a.dcm"))],
+        "displacement field",
+    );
+    refused(
+        &["bake", octants, "--fill", "3", "-o", text(&at("a.dcm"))],
+        "--fill",
+    );
+    assert!(!at("a.dcm").exists());
 }
 
 pub fn skewed_rows_are_refused() {

@@ -16,10 +16,13 @@ mod attributes;
 mod numbers;
 mod picture;
 mod pixels;
+mod planes;
+mod segmentation;
 mod series;
 mod uid;
 
 pub use attributes::Derivation;
 pub use picture::secondary_capture;
 pub use pixels::PixelEncoding;
+pub use segmentation::SegmentationWriter;
 pub use series::SeriesWriter;

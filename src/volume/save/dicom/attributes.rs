@@ -262,13 +262,15 @@ impl Attributes {
         Ok(bytes)
     }
 
-    /// The bytes of a file that is the only one of its series, with its UIDs.
-    pub fn single_file(self) -> Result<Vec<u8>, String> {
+    /// The bytes of a file that is the only one of its series, with its UIDs; it ends with this
+    /// number of bytes of pixels.
+    pub fn single_file(self, pixel_bytes: usize) -> Result<Vec<u8>, String> {
         let mut bytes = self.file()?;
         let mut digest = ContentDigest::default();
         digest.add(&bytes);
         let uids = digest.uids();
-        for (at, role) in placeholders(&bytes) {
+        let header = bytes.len().saturating_sub(pixel_bytes);
+        for (at, role) in placeholders(&bytes[..header]) {
             let uid = uids.of(role, 1);
             bytes[at..at + uid.len()].copy_from_slice(uid.as_bytes());
         }

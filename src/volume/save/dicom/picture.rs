@@ -39,6 +39,7 @@ pub fn secondary_capture(
     set.whole(tags::BITS_STORED, 8);
     set.whole(tags::HIGH_BIT, 7);
     set.whole(tags::PIXEL_REPRESENTATION, 0);
+    let pixel_bytes = rgb.len();
     set.bytes(tags::PIXEL_DATA, VR::OB, rgb);
-    set.single_file()
+    set.single_file(pixel_bytes)
 }

@@ -17,10 +17,17 @@ pub enum UidRole {
     Series,
     FrameOfReference,
     Instance,
+    DimensionOrganization,
 }
 
 impl UidRole {
-    pub const ALL: [Self; 4] = [Self::Study, Self::Series, Self::FrameOfReference, Self::Instance];
+    pub const ALL: [Self; 5] = [
+        Self::Study,
+        Self::Series,
+        Self::FrameOfReference,
+        Self::Instance,
+        Self::DimensionOrganization,
+    ];
 
     /// A text that is no UID (its number starts with zeros), of the same length.
     pub fn placeholder(self) -> String {
@@ -33,6 +40,7 @@ impl UidRole {
             Self::Series => "series",
             Self::FrameOfReference => "frame of reference",
             Self::Instance => "instance",
+            Self::DimensionOrganization => "dimension organization",
         }
     }
 }
@@ -114,7 +122,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(seen.len(), 3 * 53);
+        assert_eq!(seen.len(), 3 * 54);
         let text = format!(
             "x{}{}",
             UidRole::Series.placeholder(),
