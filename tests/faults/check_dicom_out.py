@@ -157,6 +157,9 @@ def conforms(what, ds):
         holders = [ds]
         for name in path:
             holders = [item for holder in holders for item in holder.get(name, [])]
+        # A functional group is either shared or of each frame, which is checked where it matters.
+        if path and path[-1].endswith("FunctionalGroupsSequence"):
+            continue
         for holder in holders:
             if kind in ("1", "2") and keyword not in holder:
                 missing.append(f"{'/'.join(path)}/{keyword} ({kind})")
@@ -334,10 +337,59 @@ def check_pictures():
             check(f"{name}: name", str(ds.PatientName) == "M\u00fcller^Zo\u00eb", ds.PatientName)
 
 
+def check_segmentations():
+    import highdicom
+
+    axes = direction((-0.4, 0.5, 1.2))
+    labels = np.zeros((7, 6, 5), np.uint16)
+    labels[1:4, 1:4, 1:4], labels[2:5, 3:6, 2:5], labels[4:6, 0:2, 0:3] = 3, 70, 1001
+    img = sitk.GetImageFromArray(labels)
+    img.SetSpacing((0.4, 0.9, 2.2))
+    img.SetOrigin((-100.123456789, 22.5, 1e3 / 3))
+    img.SetDirection(axes.flatten())
+    sitk.WriteImage(img, at("labels.nrrd"))
+    with open(at("labels.nrrd"), "rb") as file:
+        head, rest = file.read().split(b"\n\n", 1)
+    # Names as 3D Slicer writes them.
+    for n, (value, name) in enumerate([(3, "Liver"), (70, "Zyste \u00e4"), (1001, "Vein")]):
+        head += f"\nSegment{n}_ID:=s{n}\nSegment{n}_LabelValue:={value}\nSegment{n}_Layer:=0\nSegment{n}_Name:={name}\nSegment{n}_Color:=0.8 0.1 0.{n}".encode()
+    with open(at("labels.seg.nrrd"), "wb") as file:
+        file.write(head + b"\n\n" + rest)
+    for name, path in [("seg", at("labels.seg.nrrd"))]:
+        incise("bake", path, "-o", at(name + ".dcm"))
+        ds = pydicom.dcmread(at(name + ".dcm"))
+        conforms(name, ds)
+        seg = highdicom.seg.segread(at(name + ".dcm"))
+        check(f"{name}: highdicom reads segments", seg.number_of_segments == 3, [d.SegmentLabel for d in seg.SegmentSequence])
+        volume = seg.get_volume(combine_segments=True)
+        renumbered = np.searchsorted([0, 3, 70, 1001], labels)
+        array, affine = volume.array, volume.affine
+        off, seen = 0.0, 0
+        for k, j, i in np.ndindex(array.shape):
+            p = affine @ np.array([k, j, i, 1.0])
+            index = np.array(img.TransformPhysicalPointToContinuousIndex(p[:3]))
+            whole = np.round(index).astype(int)
+            off = max(off, np.abs(index - whole).max())
+            if (whole >= 0).all() and (whole < img.GetSize()).all():
+                seen += array[k, j, i] == renumbered[whole[2], whole[1], whole[0]]
+        check(f"{name}: voxels as highdicom reads them", seen == labels.size, f"{seen} of {labels.size}, off by {off:.1e} voxels")
+        shared, frames = ds.SharedFunctionalGroupsSequence[0], ds.PerFrameFunctionalGroupsSequence
+        check(
+            f"{name}: functional groups",
+            {e.keyword for e in shared} == {"PixelMeasuresSequence", "PlaneOrientationSequence"}
+            and all({e.keyword for e in f} == {"FrameContentSequence", "PlanePositionSequence", "SegmentIdentificationSequence"} for f in frames),
+        )
+        bits = ds.pixel_array
+        check(f"{name}: frames", bits.shape[0] == ds.NumberOfFrames and bits.sum() == (labels > 0).sum(), bits.shape)
+        check(f"{name}: no patient", not identities(ds), identities(ds) or "")
+        check(f"{name}: deformed", "Resampled" in ds.DerivationDescription)
+
+
 shutil.rmtree(OUT, ignore_errors=True)
 os.makedirs(OUT)
 check_series()
 check_other_formats()
 check_pictures()
+check_segmentations()
 print(f"{failures} failures")
 sys.exit(min(failures, 255))

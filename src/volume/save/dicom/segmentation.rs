@@ -114,27 +114,34 @@ impl SegmentationWriter {
     /// Adds the frames of the complete slice.
     fn add_slice(&mut self) -> Result<(), String> {
         let slice = std::mem::take(&mut self.slice);
-        let present: BTreeSet<u32> = slice.iter().copied().filter(|v| *v != 0).collect();
-        for (n, label) in self.labels.iter().enumerate() {
-            if n > 0 && !present.contains(label) {
+        let mut present: BTreeSet<u32> = slice.iter().copied().filter(|v| *v != 0).collect();
+        // Frames of the first segment are there in every slice.
+        present.extend(self.labels.first());
+        // Labels of this slice, each with the first bit of its frame.
+        let mut starts: Vec<(u32, usize)> = Vec::with_capacity(present.len());
+        for label in present {
+            let Ok(n) = self.labels.binary_search(&label) else {
                 continue;
-            }
-            let end = (self.bit_count + slice.len()).div_ceil(8);
-            if end > MAX_PIXEL_BYTES || self.frames.len() == MAX_FRAMES {
-                return Err(
-                    "the segmentation is larger than a DICOM file can be; write .nii.gz or .nrrd instead"
-                        .into(),
-                );
-            }
-            self.bits.resize(end, 0);
-            for voxel in &slice {
-                self.bits[self.bit_count / 8] |= u8::from(voxel == label) << (self.bit_count % 8);
-                self.bit_count += 1;
-            }
+            };
+            starts.push((label, self.bit_count));
+            self.bit_count += slice.len();
             self.frames.push(SegmentFrame {
                 segment: (n + 1) as u16,
                 slice: self.slices,
             });
+        }
+        let end = self.bit_count.div_ceil(8);
+        if end > MAX_PIXEL_BYTES || self.frames.len() > MAX_FRAMES {
+            return Err(
+                "the segmentation is larger than a DICOM file can be; write .nii.gz or .nrrd instead".into(),
+            );
+        }
+        self.bits.resize(end, 0);
+        for (n, label) in slice.iter().enumerate() {
+            if let Ok(found) = starts.binary_search_by_key(label, |s| s.0) {
+                let bit = starts[found].1 + n;
+                self.bits[bit / 8] |= 1 << (bit % 8);
+            }
         }
         self.slices += 1;
         Ok(())
