@@ -15,8 +15,9 @@ pub fn decimal(value: f64) -> String {
     let digits = (0..MAX_CHARACTERS).rev();
     let fixed = digits.clone().map(|d| format!("{value:.d$}"));
     let scientific = digits.map(|d| format!("{value:.d$e}"));
-    let first_that_fits =
-        |mut texts: Box<dyn Iterator<Item = String>>| texts.find(|t| t.len() <= MAX_CHARACTERS);
+    // The largest numbers must not be rounded to infinity.
+    let fits = |t: &String| t.len() <= MAX_CHARACTERS && t.parse().is_ok_and(f64::is_finite);
+    let first_that_fits = |mut texts: Box<dyn Iterator<Item = String>>| texts.find(fits);
     let candidates = [
         first_that_fits(Box::new(fixed)),
         first_that_fits(Box::new(scientific)),
