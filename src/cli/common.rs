@@ -7,6 +7,7 @@ use crate::files::path_text::{path_of, text_of};
 use crate::prepare::{Assets, LoadOptions};
 use crate::scene::surface::CutModel;
 use crate::scene::{Camera, InsideMesh, Mode, Projection, Scene, View};
+use crate::volume::load::Origin;
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::ffi::OsString;
@@ -133,6 +134,21 @@ pub fn warnings(scene: &Scene, assets: &Assets) -> Vec<String> {
         .iter()
         .map(|warning| format!("{}: {warning}", shown(scene.volume_name())))
         .collect()
+}
+
+/// Checks that there is patient data to copy, if it is to be copied.
+///
+/// # Errors
+/// The volume does not come from DICOM.
+pub fn check_patient(patient: bool, origin: Option<&Origin>, scene: &Scene) -> Result<()> {
+    if patient && origin.is_none() {
+        let problem = match scene.volume_name() {
+            "" => "there is no volume whose patient data could be copied".to_owned(),
+            name => format!("{} is not DICOM; it has no patient data to copy", shown(name)),
+        };
+        return Err(Error::value("--patient", problem));
+    }
+    Ok(())
 }
 
 /// A name from a scene, made printable.

@@ -39,7 +39,7 @@ enum Command {
     /// Compare slicing, ray casting and surfaces on CPU and GPU; write pictures, times, errors and
     /// a report page.
     Compare(Box<compare::CompareArguments>),
-    /// Resample the deformed volume, or the composed displacement field, into a file.
+    /// Resample the deformed volume, or the composed displacement field, into a file or DICOM.
     Bake(Box<bake::BakeArguments>),
     /// Make, convert, invert or check a displacement map or field.
     Map(Box<map::MapArguments>),

@@ -1,14 +1,17 @@
 //! `incise render`: one picture.
 
-use super::common::{Common, warnings};
+use super::common::{Common, check_patient, warnings};
 use super::progress::TerminalProgress;
 use crate::deform::quality::CheckedField;
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, RenderRequest};
+use crate::export::dicom::{self, DicomContent, is_dicom_name};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct, memory};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::Scene;
+use crate::volume::load::Origin;
+use crate::volume::save::dicom::secondary_capture;
 use crate::{Error, Result, Watch};
 use clap::Args;
 use serde_json::{Value, json};
@@ -20,9 +23,14 @@ use std::time::Instant;
 pub struct RenderArguments {
     #[command(flatten)]
     common: Common,
-    /// The picture to write (.png); - for standard output.
+    /// The picture to write: .png, or .dcm for a DICOM secondary capture; - for PNG on standard
+    /// output.
     #[arg(short, long, value_name = "OUT.png")]
     output: PathBuf,
+    /// Copy patient and study from the volume's DICOM series into a .dcm picture; without it,
+    /// nothing about the patient is written.
+    #[arg(long)]
+    patient: bool,
     /// Where to compute.
     #[arg(long, value_enum, default_value = "auto")]
     backend: Backend,
@@ -33,10 +41,17 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     let start = Instant::now();
     let common = &arguments.common;
     let scene = common.scene()?;
+    check_dicom(arguments, &scene)?;
     let (output, stats_file) = outputs(arguments, &scene)?;
     common.use_threads()?;
     let bar = TerminalProgress::new(common.quiet);
     let assets = common.load(&scene, &bar)?;
+    let origin = if arguments.patient {
+        dicom::origin(&scene, &assets.volume, &Watch::NONE)?
+    } else {
+        None
+    };
+    check_patient(arguments.patient, origin.as_ref(), &scene)?;
     output.check()?;
     if let Some(file) = &stats_file {
         file.check()?;
@@ -68,7 +83,9 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     let mut stages = assets.stages.clone();
     stages.0.extend(prepared.stages.0.iter().copied());
     stages.0.extend(rendered.stages.0.iter().copied());
-    let bytes = stages.time("encode", || rendered.picture.png(scene.render.background))?;
+    let bytes = stages.time("encode", || {
+        encoded(arguments, &scene, origin.as_ref(), &rendered.picture)
+    })?;
     stages.time("write", || output.finish(&bytes))?;
     let total = start.elapsed().as_secs_f64() * 1e3;
     if needs_stats {
@@ -99,6 +116,45 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     Ok(())
 }
 
+/// The picture over the background, as PNG or DICOM.
+fn encoded(
+    arguments: &RenderArguments,
+    scene: &Scene,
+    origin: Option<&Origin>,
+    picture: &Picture,
+) -> Result<Vec<u8>> {
+    let background = scene.render.background;
+    if !is_dicom_name(&arguments.output) {
+        return picture.png(background);
+    }
+    let derivation = dicom::derivation(scene, DicomContent::Picture, origin, arguments.patient);
+    let rgb = picture
+        .over(background)
+        .chunks_exact(4)
+        .flat_map(|p| [p[0], p[1], p[2]])
+        .collect();
+    secondary_capture(rgb, [picture.width, picture.height], &derivation)
+        .map_err(|e| Error::file(&arguments.output, e))
+}
+
+/// Checks what applies to DICOM alone.
+fn check_dicom(arguments: &RenderArguments, scene: &Scene) -> Result<()> {
+    let is_dicom = is_dicom_name(&arguments.output);
+    if arguments.patient && !is_dicom {
+        return Err(Error::value(
+            "--patient",
+            "applies to DICOM output; give a name that ends in .dcm",
+        ));
+    }
+    if is_dicom && scene.render.background[3] < 1.0 {
+        return Err(Error::value(
+            format!("--output {}", arguments.output.display()),
+            "a DICOM picture has no transparency; set an opaque --background, or write .png",
+        ));
+    }
+    Ok(())
+}
+
 /// The outputs for the picture and the report: neither may be an input, nor may they be the same
 /// file.
 fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(OutputFile, Option<OutputFile>)> {
@@ -123,11 +179,12 @@ fn outputs(arguments: &RenderArguments, scene: &Scene) -> Result<(OutputFile, Op
         check_distinct(picture, "--stats", stats)?;
     }
     let output = OutputFile::create_or_standard(picture)?;
-    let is_png = || picture.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
-    if output.is_file() && !is_png() {
+    let is_picture =
+        || is_dicom_name(picture) || picture.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+    if output.is_file() && !is_picture() {
         return Err(Error::value(
             format!("--output {}", picture.display()),
-            "pictures are written as PNG; give a name that ends in .png",
+            "pictures are written as PNG or DICOM; give a name that ends in .png or .dcm",
         ));
     }
     let stats = common.stats_file()?;

@@ -1,7 +1,10 @@
 //! Baking: resamples the deformed scene into a volume, or the composed displacement into a field
 //! (\[RVD01\] section 5), slab by slab, so that only the source and a few slabs are in memory.
 
+mod series;
 mod slabs;
+
+pub use series::{dicom_segmentation, dicom_series};
 
 use super::rows::{BakeRow, BakeRows};
 use crate::deform::{Stack, StackAndCuts};
@@ -36,6 +39,18 @@ pub struct BakeOptions<'a> {
     pub fill: Option<f64>,
     /// Receives the fraction of work done.
     pub progress: Option<&'a dyn Fn(f32)>,
+}
+
+impl BakeOptions<'_> {
+    fn interpolation_of(&self, volume: &Volume) -> Interpolation {
+        self.interpolation.unwrap_or_else(|| {
+            if volume.labels().is_some() {
+                Interpolation::Nearest
+            } else {
+                Interpolation::Linear
+            }
+        })
+    }
 }
 
 /// The grid of a volume, enlarged by whole voxels until it contains the deformed scene.
@@ -291,6 +306,9 @@ struct VolumeRows<'a> {
     in_data: Rescale,
     /// The stored value outside the volume and in cuts.
     fill: f64,
+    /// Lowest and highest written value: cubic interpolation overshoots. They do not apply to
+    /// `fill`.
+    limits: Option<[f64; 2]>,
 }
 
 impl VolumeRows<'_> {
@@ -307,8 +325,11 @@ impl VolumeRows<'_> {
             scalar,
             in_data,
             fill,
+            limits,
             ..
         } = *self;
+        let is_float = matches!(scalar, ScalarType::F32 | ScalarType::F64);
+        let limited = |v: f64| limits.map_or(v, |[low, high]| v.clamp(low, high));
         let at = |i: usize| {
             grid.world_from_voxel
                 .transform_point3(DVec3::new(i as f64, j as f64, k as f64))
@@ -331,6 +352,7 @@ impl VolumeRows<'_> {
                 });
             } else {
                 for v in values {
+                    // Linear interpolation stays within the limits.
                     let v = if v.is_nan() { fill } else { f64::from(v) };
                     put(bytes, scalar, v * in_data.slope + in_data.intercept);
                 }
@@ -351,10 +373,13 @@ impl VolumeRows<'_> {
                 let exact = at(i) + (source - deformed[i]).as_dvec3();
                 stored.sample(voxel_from_world.transform_point3(exact))
             });
+            // An integer cannot say that a voxel is not a number.
+            let value = value.flatten().filter(|v| is_float || v.is_finite());
+            let written = |v: f64| v * in_data.slope + in_data.intercept;
             put(
                 bytes,
                 scalar,
-                value.flatten().unwrap_or(fill) * in_data.slope + in_data.intercept,
+                value.map_or_else(|| written(fill), |v| limited(written(v))),
             );
         }
     }
@@ -373,14 +398,7 @@ pub fn volume(
     options: &BakeOptions,
 ) -> Result<()> {
     let fail = |e: String| Error::value("output", e);
-    let default = || {
-        if volume.labels().is_some() {
-            Interpolation::Nearest
-        } else {
-            Interpolation::Linear
-        }
-    };
-    let interpolation = options.interpolation.unwrap_or_else(default);
+    let interpolation = options.interpolation_of(volume);
     let fill = options.fill.unwrap_or(volume.range[0]);
     let progress = options.progress.unwrap_or(&|_| ());
     let scalar = scalar_of(&volume.voxels);
@@ -412,6 +430,7 @@ pub fn volume(
         scalar,
         in_data,
         fill: (fill - volume.rescale.intercept) / volume.rescale.slope,
+        limits: None,
     };
     let row = |j: usize, k: usize, bytes: &mut Vec<u8>| rows.append(j, k, bytes);
     slabs(

@@ -1,7 +1,8 @@
-//! Clips, baked volumes and baked fields as files.
+//! Clips, baked volumes and baked fields as files, and DICOM objects of a scene.
 
 pub mod bake;
 pub mod clip;
+pub mod dicom;
 mod rows;
 
 use crate::files::inputs::FileId;
@@ -32,11 +33,39 @@ pub fn protect<'a>(
     let inside = |read: &Path| matches!((&folder, read.canonicalize()), (Ok(output), Ok(read)) if output.starts_with(&read));
     if read
         .into_iter()
-        .any(|r| r.is_dir() && inside(r) && load::is_part_of(r, output))
+        .any(|r| r.is_dir() && inside(r) && (dicom::is_dicom_name(output) || load::is_part_of(r, output)))
     {
         return Err(Error::value(
             named(),
             "would become one of the files of an input folder; choose another folder",
+        ));
+    }
+    Ok(())
+}
+
+/// Checks that a folder of DICOM files to be written does not lie in a folder that is read: it
+/// would be read with it the next time.
+///
+/// # Errors
+/// It lies in an input folder, or is one.
+pub fn protect_folder<'a>(
+    option: &str,
+    output: &Path,
+    read: impl IntoIterator<Item = &'a Path>,
+) -> Result<()> {
+    let output_path: std::path::PathBuf = output.components().collect();
+    let around = output_path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
+    // The folder itself, or the one in which it will be.
+    let place = output_path.canonicalize().or_else(|_| around.canonicalize());
+    let lies_in =
+        |r: &Path| matches!((&place, r.canonicalize()), (Ok(place), Ok(r)) if place.starts_with(&r));
+    if read.into_iter().any(|r| r.is_dir() && lies_in(r)) {
+        return Err(Error::value(
+            format!("{option} {}", output.display()),
+            "lies in an input folder, and would be read with it the next time; choose another folder",
         ));
     }
     Ok(())

@@ -4,8 +4,8 @@
 //!   by device and inode; an [`OutputFile`] that would replace one of these files is refused,
 //!   whatever name or link leads to it.
 //! - **No file is written partially.** An [`OutputFile`] is created next to its destination and
-//!   renamed into place when it is complete. Remains of an interrupted run are removed by
-//!   [`unfinished`].
+//!   renamed into place when it is complete, and so is an [`OutputFolder`]. Remains of an
+//!   interrupted run are removed by [`unfinished`].
 //! - **Only regular files are replaced.** Pipes, sockets and devices are written to, never
 //!   replaced. As inputs they are refused, since a reader needs a length and a device has no end.
 //! - **Every read is bounded.** Texts have a maximum size, compressed streams a maximum expansion,
@@ -17,8 +17,10 @@ pub mod input;
 pub mod inputs;
 pub mod memory;
 mod output;
+mod output_folder;
 pub mod path_text;
 pub mod reference;
 pub mod unfinished;
 
 pub use output::{OutputFile, check_distinct, standard_output};
+pub use output_folder::{OutputFolder, names_folder};

@@ -1,10 +1,12 @@
 //! Writing volumes, label maps and displacement fields: NIfTI (version 2 where version 1 cannot
-//! count the voxels), NRRD, MetaImage and VTK XML.
+//! count the voxels), NRRD, MetaImage and VTK XML; volumes also as [`dicom`].
 //!
 //! A file is a header followed by values in voxel order, hence a large one can be written slab by
 //! slab ([`Writer`]). Fields are LPS in NRRD, MetaImage and VTK; in NIfTI they have intent 1007 and
 //! LPS vectors, as written by ITK and ANTs. NIfTI stores the components of vectors one after the
 //! other, the other formats interleave them ([`Format::planar`]).
+
+pub mod dicom;
 
 use super::load::ScalarType;
 use super::{GridGeometry, Rescale};

@@ -21,7 +21,7 @@ mod vti;
 mod vtk;
 mod zarr;
 
-pub use dicom::SeriesInfo;
+pub use dicom::{Origin, OriginInstance, SeriesInfo};
 pub use image::{Channel, Image, Layout, Meaning};
 pub use read_options::{RawLayout, ReadOptions};
 pub use scalar_type::ScalarType;

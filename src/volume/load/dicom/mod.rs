@@ -24,6 +24,7 @@ mod increments;
 mod location;
 mod mosaic;
 mod object;
+mod origin;
 mod palette;
 mod pixels;
 mod placement;
@@ -41,6 +42,7 @@ mod values;
 mod volume;
 
 pub use dataset::is_dicom;
+pub use origin::{Origin, OriginInstance};
 
 use super::ReadOptions;
 use super::image::Image;
