@@ -15,6 +15,7 @@ mod comparison;
 mod composition;
 mod contract;
 mod damage;
+mod dicom_out;
 #[cfg(feature = "gpu")]
 mod editing;
 mod faults;
@@ -137,7 +138,11 @@ fn main() {
         one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry,
         orientations_are_one_world, series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel,
         a_gigabyte_needs_little_more));
-    all.extend(trials!(faults: listed_files, dicom_files));
+    all.extend(trials!(faults: listed_files, dicom_files, contours));
+    all.extend(trials!(dicom_out:
+        an_oblique_tilted_grid_comes_back, values_come_back, no_patient_without_the_option,
+        the_same_input_gives_the_same_bytes, a_picture_is_that_of_the_png, cuts_are_padding,
+        nothing_is_mixed_or_lost, label_maps_become_segmentations, skewed_rows_are_refused));
     all.extend(trials!(damage: damaged_files_are_named));
     all.extend(trials!(fuzz: random_scenes_do_no_harm));
     all.extend(trials!(composition: random_stacks_keep_their_bound, tears_are_walked));

@@ -4,14 +4,13 @@ use super::common::{Common, check_patient, warnings};
 use super::progress::TerminalProgress;
 use crate::deform::quality::CheckedField;
 use crate::engine::{Backend, DeviceInfo, Engine, EngineOptions, RenderRequest};
-use crate::export::dicom::{self, DicomContent, is_dicom_name};
+use crate::export::dicom::{self, is_dicom_name};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct, memory};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::Scene;
 use crate::volume::load::Origin;
-use crate::volume::save::dicom::secondary_capture;
 use crate::{Error, Result, Watch};
 use clap::Args;
 use serde_json::{Value, json};
@@ -127,14 +126,7 @@ fn encoded(
     if !is_dicom_name(&arguments.output) {
         return picture.png(background);
     }
-    let derivation = dicom::derivation(scene, DicomContent::Picture, origin, arguments.patient);
-    let rgb = picture
-        .over(background)
-        .chunks_exact(4)
-        .flat_map(|p| [p[0], p[1], p[2]])
-        .collect();
-    secondary_capture(rgb, [picture.width, picture.height], &derivation)
-        .map_err(|e| Error::file(&arguments.output, e))
+    dicom::picture(scene, picture, origin, arguments.patient).map_err(|e| Error::file(&arguments.output, e))
 }
 
 /// Checks what applies to DICOM alone.

@@ -1,9 +1,10 @@
 //! What DICOM output states of a scene: the series that its volume comes from, and what was done.
 
+use crate::picture::Picture;
 use crate::scene::{Mode, Scene};
 use crate::volume::Volume;
 use crate::volume::load::Origin;
-use crate::volume::save::dicom::Derivation;
+use crate::volume::save::dicom::{Derivation, secondary_capture};
 use crate::{Result, Watch};
 use std::path::Path;
 
@@ -34,6 +35,25 @@ pub fn origin(scene: &Scene, volume: &Volume, watch: &Watch) -> Result<Option<Or
         (Some(path), Some(source)) if volume.format == "DICOM" => Origin::of(&path, &source.choice, watch),
         _ => Ok(None),
     }
+}
+
+/// A picture over the scene's background as a DICOM secondary capture: the bytes of its file.
+///
+/// # Errors
+/// A picture larger than DICOM can hold; a sentence.
+pub fn picture(
+    scene: &Scene,
+    picture: &Picture,
+    origin: Option<&Origin>,
+    patient: bool,
+) -> Result<Vec<u8>, String> {
+    let derivation = derivation(scene, DicomContent::Picture, origin, patient);
+    let rgb = picture
+        .over(scene.render.background)
+        .chunks_exact(4)
+        .flat_map(|p| [p[0], p[1], p[2]])
+        .collect();
+    secondary_capture(rgb, [picture.width, picture.height], &derivation)
 }
 
 /// The derivation of an object with this content. Names of files are left out: they may name a

@@ -10,9 +10,10 @@ use crate::compare::Report;
 use crate::deform::{Stack, saved};
 use crate::engine::{Backend, Engine, EngineOptions, RenderRequest};
 use crate::export::bake::{self, BakeOptions};
-use crate::export::{clip, protect};
+use crate::export::dicom::{self, DicomContent, is_dicom_name};
+use crate::export::{clip, protect, protect_folder};
 use crate::files::path_text::text_of;
-use crate::files::{OutputFile, input};
+use crate::files::{OutputFile, OutputFolder, input, names_folder};
 use crate::picture::MAX_PICTURE_EDGE;
 use crate::picture::Picture;
 use crate::prepare::measure;
@@ -27,6 +28,55 @@ use std::sync::{Mutex, PoisonError};
 
 /// Points along the longest axis of a map computed from a whole stack.
 const MAP_POINTS: usize = 128;
+
+/// Bakes the volume or the field of a scene into a file.
+fn bake_to_file(path: &Path, scene: &Scene, assets: &Assets, field: bool, watch: &Watch) -> Result<()> {
+    let format = Format::of(path)?;
+    let output = OutputFile::create(path)?;
+    let exact = Deformed::exact(scene, assets, true, watch)?;
+    let deformation = exact.stack_and_cuts();
+    let volume = &assets.volume;
+    let grid = volume.geometry();
+    let progress = |share: f32| (watch.progress)(share);
+    output.finish_with(|out| {
+        let mut out = CancellableWriter { out, watch };
+        if field {
+            return bake::field(&deformation, &grid, format, &mut out, &progress).map(drop);
+        }
+        let options = BakeOptions {
+            progress: Some(&progress),
+            ..BakeOptions::default()
+        };
+        bake::volume(volume, &deformation, &grid, format, &mut out, &options)
+    })
+}
+
+/// Bakes the volume of a scene as a DICOM series in a folder, or as a segmentation; nothing about the
+/// patient is written. Returns notices about the values.
+fn bake_as_dicom(path: &Path, scene: &Scene, assets: &Assets, watch: &Watch) -> Result<Vec<String>> {
+    let volume = &assets.volume;
+    let origin = dicom::origin(scene, volume, watch)?;
+    let exact = Deformed::exact(scene, assets, true, watch)?;
+    let deformation = exact.stack_and_cuts();
+    let grid = volume.geometry();
+    let progress = |share: f32| (watch.progress)(share);
+    if names_folder(path) {
+        let files = scene.files();
+        protect_folder("export", path, files.iter().map(PathBuf::as_path))?;
+        let folder = OutputFolder::create(path)?;
+        let derivation = dicom::derivation(scene, DicomContent::Volume, origin.as_ref(), false);
+        let options = BakeOptions {
+            progress: Some(&progress),
+            ..BakeOptions::default()
+        };
+        return bake::dicom_series(volume, &deformation, &grid, folder, &derivation, &options);
+    }
+    let output = OutputFile::create(path)?;
+    let derivation = dicom::derivation(scene, DicomContent::Labels, origin.as_ref(), false);
+    let (bytes, notices) = bake::dicom_segmentation(volume, &deformation, &grid, &derivation, &progress)?;
+    output.finish(&bytes)?;
+    Ok(notices)
+}
 
 impl Workstation {
     /// The form for a picture, initialised from the view.
@@ -50,7 +100,7 @@ impl Workstation {
     pub fn choose_picture_file(&mut self, form: PictureForm) {
         self.files.open_dialog(
             FilePurpose::Picture(form),
-            "Export picture",
+            "Export picture: .png, or .dcm",
             Some("picture.png"),
             &[],
         );
@@ -58,7 +108,11 @@ impl Workstation {
 
     /// Renders and writes a picture.
     pub fn export_picture(&mut self, ctx: &Context, path: &Path, form: &PictureForm) {
-        let path = with_ending(path, "png");
+        let path = if is_dicom_name(path) {
+            path.to_owned()
+        } else {
+            with_ending(path, "png")
+        };
         let Some(mut scene) = self.export_scene(&path) else {
             return;
         };
@@ -74,8 +128,18 @@ impl Workstation {
         let render = self.renderer();
         self.start(ctx, "Exporting a picture", move |watch| {
             let output = OutputFile::create(&path)?;
+            if is_dicom_name(&path) && scene.render.background[3] < 1.0 {
+                return Err(Error::file(
+                    &path,
+                    "a DICOM picture has no transparency; choose an opaque background, or write .png",
+                ));
+            }
             let picture = render(&scene, &assets, watch)?;
-            output.finish(&picture.png(scene.render.background)?)?;
+            output.finish(&if is_dicom_name(&path) {
+                dicom::picture(&scene, &picture, None, false).map_err(|e| Error::file(&path, e))?
+            } else {
+                picture.png(scene.render.background)?
+            })?;
             Ok(report_when_done(format!("Exported {}", path.display())))
         });
     }
@@ -158,7 +222,10 @@ impl Workstation {
         let (title, name) = if field {
             ("Bake the displacement field", "field.nii.gz")
         } else {
-            ("Bake the deformed volume", "deformed.nii.gz")
+            (
+                "Bake the deformed volume: a file, or a new folder of DICOM slices",
+                "deformed.nii.gz",
+            )
         };
         self.files
             .open_dialog(FilePurpose::Bake { field }, title, Some(name), &[]);
@@ -174,39 +241,28 @@ impl Workstation {
         };
         let path = path.to_owned();
         self.start(ctx, "Baking", move |watch| {
-            let format = Format::of(&path)?;
             if !assets.has_volume {
                 return Err(Error::value(
                     "bake",
                     "there is no volume in this scene; meshes are rendered, not baked",
                 ));
             }
-            let output = OutputFile::create(&path)?;
-            let exact = Deformed::exact(&scene, &assets, true, watch)?;
-            let deformation = exact.stack_and_cuts();
-            let volume = &assets.volume;
-            let grid = volume.geometry();
-            let progress = |share: f32| (watch.progress)(share);
-            output.finish_with(|out| {
-                let mut out = CancellableWriter { out, watch };
-                if field {
-                    bake::field(&deformation, &grid, format, &mut out, &progress).map(drop)
-                } else {
-                    bake::volume(
-                        volume,
-                        &deformation,
-                        &grid,
-                        format,
-                        &mut out,
-                        &BakeOptions {
-                            progress: Some(&progress),
-                            ..BakeOptions::default()
-                        },
-                    )
-                }
-                .map_err(|e| if watch.is_cancelled() { Error::Cancelled } else { e })
-            })?;
-            Ok(report_when_done(format!("Baked {}", path.display())))
+            let is_dicom = names_folder(&path) || is_dicom_name(&path);
+            if field && is_dicom {
+                return Err(Error::file(
+                    &path,
+                    "DICOM slices cannot hold a displacement field; give a name that ends in .nii.gz, .nrrd, .mha or .vti",
+                ));
+            }
+            let cancelled = |e| if watch.is_cancelled() { Error::Cancelled } else { e };
+            let notices = if is_dicom {
+                bake_as_dicom(&path, &scene, &assets, watch).map_err(cancelled)?
+            } else {
+                bake_to_file(&path, &scene, &assets, field, watch).map_err(cancelled)?;
+                Vec::new()
+            };
+            let done = format!("Baked {}", path.display());
+            Ok(report_when_done(std::iter::once(done).chain(notices).collect::<Vec<_>>().join("; ")))
         });
     }
 

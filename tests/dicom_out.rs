@@ -1,5 +1,5 @@
 //! DICOM that is written: our reader gets back what was written, nothing about a patient is there
-//! unless requested, and the same input gives the same bytes. `check_dicom_out.py` beside this file
+//! unless requested, and the same input gives the same bytes. `faults/check_dicom_out.py`
 //! checks the same output with pydicom, highdicom and SimpleITK.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
