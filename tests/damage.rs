@@ -201,7 +201,7 @@ const FOLDERS: [&str; 6] = [
 ];
 
 /// One file of each format and compression.
-const SEEDS: [&str; 29] = [
+const SEEDS: [&str; 44] = [
     "itk.nii",
     "itk.nii.gz",
     "nib2.nii.gz",
@@ -231,6 +231,21 @@ const SEEDS: [&str; 29] = [
     "../emri_small_jpeg_2k_lossless.dcm",
     "../JPEG-LL.dcm",
     "../emri_small_RLE.dcm",
+    "../structures.dcm",
+    "../../../faults/listed/F01a-un-undefined-length/un.dcm",
+    "../../../faults/listed/F06-rt-dose/dose.dcm",
+    "../../../faults/listed/F07-nrrd-gzip-byte-skip/bs.nrrd",
+    "../../../faults/listed/F08-seg-nrrd-layers/x.seg.nrrd",
+    "../../../faults/listed/F16-tiff-1-bit/bit_group4.tif",
+    "../../../faults/listed/F17-tiff-palette/palij.tif",
+    "../../../faults/listed/F22-implicit-under-explicit/wrong-ts.dcm",
+    "../../../faults/listed/F23-no-preamble/bare-long-imagetype.dcm",
+    "../../../faults/listed/F26-description-escapes/x.dcm",
+    "../../../faults/listed/Q01-white-is-zero/miw_i2.tif",
+    "../../../faults/listed/Q02-gated-spect/nm.dcm",
+    "../../../faults/listed/Q03-mosaic/x.dcm",
+    "../../../faults/listed/Q04-ultrasound-clip/x.dcm",
+    "../../../faults/listed/Q05-jpeg-labelled-rgb/x.dcm",
 ];
 
 /// Mutations aware of header structure: bytes, numbers in text and in binary; pieces moved,
