@@ -196,6 +196,7 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
             written_notices = notices;
         }
         Output::File(format, file) => file.finish_with(|out| {
+            written_notices.extend(format.notice(&grid));
             if !arguments.field {
                 return bake::volume(volume, &deformation, &grid, format, out, &options);
             }

@@ -259,7 +259,8 @@ impl Workstation {
                 bake_as_dicom(&path, &scene, &assets, watch).map_err(cancelled)?
             } else {
                 bake_to_file(&path, &scene, &assets, field, watch).map_err(cancelled)?;
-                Vec::new()
+                let notice = Format::of(&path)?.notice(&assets.volume.geometry());
+                notice.into_iter().collect()
             };
             let done = format!("Baked {}", path.display());
             Ok(report_when_done(std::iter::once(done).chain(notices).collect::<Vec<_>>().join("; ")))

@@ -80,10 +80,40 @@ impl Format {
         matches!(self, Self::Nifti | Self::NiftiGz)
     }
 
+    /// What other programs may get wrong about a grid in this format: axes that are not
+    /// perpendicular.
+    pub fn notice(self, grid: &GridGeometry) -> Option<String> {
+        let degrees = shear_degrees(&grid.world_from_voxel.matrix3);
+        if degrees < SHEARED {
+            return None;
+        }
+        let problem = match self {
+            Self::Nifti | Self::NiftiGz => {
+                "NIfTI states this in its sform alone; programs that use the qform or only the spacing show it straight"
+            }
+            Self::Nrrd | Self::Mha | Self::Vti => {
+                "programs that expect perpendicular axes, such as those built on ITK, refuse the file or show it straight"
+            }
+        };
+        Some(format!("its grid is sheared by {degrees:.1} degrees; {problem}"))
+    }
+
     /// Whether the components of vectors are stored as consecutive whole grids.
     pub fn planar(self) -> bool {
         matches!(self, Self::Nifti | Self::NiftiGz)
     }
+}
+
+/// Axes are perpendicular up to this deviation, degrees.
+const SHEARED: f64 = 0.01;
+
+/// Largest deviation of two axes from a right angle, degrees.
+fn shear_degrees(m: &DMat3) -> f64 {
+    let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis].map(DVec3::normalize_or_zero);
+    [x.dot(y), y.dot(z), z.dot(x)]
+        .map(|cos| cos.abs().min(1.0).asin().to_degrees())
+        .into_iter()
+        .fold(0.0, f64::max)
 }
 
 impl Content {
@@ -302,11 +332,7 @@ fn nifti_header(grid: &GridGeometry, content: Content) -> Vec<u8> {
     // Millimetres.
     h.put(if two { 500 } else { 123 }, &[2]);
     let t = ras_from_voxel.translation;
-    let orthogonal = (rotation.transpose() * rotation - DMat3::IDENTITY)
-        .to_cols_array()
-        .iter()
-        .all(|v| v.abs() < 1e-4);
-    if orthogonal {
+    if shear_degrees(&m) < SHEARED {
         let q = DQuat::from_mat3(&rotation).normalize();
         let q = if q.w < 0.0 { -q } else { q };
         h.code(252, 344, 1);

@@ -25,7 +25,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         },
     };
     let direction = DMat3::from_cols_array_2d(&layout.direction).transpose();
-    let linear = direction * DMat3::from_diagonal(DVec3::from(layout.spacing_mm));
+    let linear = direction * DMat3::from_diagonal(DVec3::from(layout.spacing_mm.unwrap_or([1.0; 3])));
     let world_from_voxel = DAffine3 {
         matrix3: linear,
         translation: DVec3::from(layout.origin_mm),
@@ -57,6 +57,11 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let length = std::fs::metadata(path).map_or(0, |m| m.len());
     let mut image = Image::new("raw", voxels, layout.size, world_from_voxel);
     (image.components, image.layout) = (layout.components, Layout::Interleaved);
+    if layout.spacing_mm.or(choice.spacing).is_none() {
+        image
+            .warnings
+            .push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
+    }
     if max_bytes == length && length > bytes + layout.skip {
         image.warnings.push(format!(
             "contains {} bytes more than its layout describes; check the size and type",

@@ -52,9 +52,9 @@ pub struct RawLayout {
     /// Bytes before the first value.
     #[serde(default)]
     pub skip: u64,
-    /// Voxel spacing along i, j, k, mm.
-    #[serde(default = "ones")]
-    pub spacing_mm: [f64; 3],
+    /// Voxel spacing along i, j, k, mm; 1 mm, with a notice, if it is not stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing_mm: Option<[f64; 3]>,
     /// World position of the first voxel's centre, mm, LPS.
     #[serde(default)]
     pub origin_mm: [f64; 3],
@@ -65,10 +65,6 @@ pub struct RawLayout {
 
 fn one() -> usize {
     1
-}
-
-fn ones() -> [f64; 3] {
-    [1.0; 3]
 }
 
 fn identity() -> [[f64; 3]; 3] {
@@ -135,7 +131,7 @@ impl RawLayout {
         Ok(layout)
     }
 
-    /// Little-endian scalars from the start of the file, 1 mm apart.
+    /// Little-endian scalars from the start of the file, without a stated spacing.
     pub fn new(size: [usize; 3], scalar: ScalarType) -> Self {
         Self {
             size,
@@ -143,7 +139,7 @@ impl RawLayout {
             components: 1,
             big_endian: false,
             skip: 0,
-            spacing_mm: ones(),
+            spacing_mm: None,
             origin_mm: [0.0; 3],
             direction: identity(),
         }

@@ -47,6 +47,7 @@ pub use origin::{Origin, OriginInstance};
 use super::ReadOptions;
 use super::image::Image;
 use crate::{Error, Result, Watch};
+use frame::Frame;
 use object::Object;
 use scan::{ScanResult, scan};
 use serde_json::json;
@@ -203,6 +204,19 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         ("series", json!({ "number": index + 1, "of": all.len(), "uid": object.series, "description": object.description })),
         ("transfer_syntax", json!(syntax_name(&object.syntax))),
     ]);
+    if !object.units.is_empty() {
+        image.details.push(("units", json!(object.units)));
+    }
+    // Windows of slices may differ.
+    let frames = &series.times[time];
+    let of_frame = |f: &Frame| found.objects[f.object].window;
+    if let Some(Some([center, width])) = frames.first().map(of_frame)
+        && frames.iter().all(|f| of_frame(f) == Some([center, width]))
+    {
+        image
+            .details
+            .push(("window", json!({ "center": center, "width": width })));
+    }
     if series.times.len() > 1 {
         image.details.push(("time_points", json!(series.times.len())));
         image

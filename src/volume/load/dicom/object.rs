@@ -53,6 +53,10 @@ pub struct Object {
     pub slice_distance: SliceDistance,
     /// Frame of reference; may be empty.
     pub reference: String,
+    /// Units of its values; may be empty.
+    pub units: String,
+    /// Centre and width of the window in which to show it.
+    pub window: Option<[f64; 2]>,
     /// A table of data values by stored value: the first stored value mapped, and the entries.
     pub value_table: Option<(f64, Vec<f64>)>,
     /// Whether high values are to be shown dark.
@@ -193,6 +197,22 @@ fn slice_distance(set: &InMemDicomObject) -> SliceDistance {
     SliceDistance::of(measures.unwrap_or(set))
 }
 
+/// Centre and width of the first window of the object, or of its first frame.
+fn window(set: &InMemDicomObject) -> Option<[f64; 2]> {
+    let groups = [
+        tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE,
+        tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE,
+    ];
+    let in_groups = groups
+        .into_iter()
+        .find_map(|tag| item(item(set, tag)?, tags::FRAME_VOILUT_SEQUENCE));
+    let holder = in_groups.unwrap_or(set);
+    Some([
+        number(holder, tags::WINDOW_CENTER)?,
+        number(holder, tags::WINDOW_WIDTH)?,
+    ])
+}
+
 /// The modality look-up table: the first stored value mapped, and the entries (PS3.3 C.11.1.1).
 fn value_table(table: &InMemDicomObject, signed: bool) -> Option<(f64, Vec<f64>)> {
     let [_, first, bits] = vector::<3>(table, tags::LUT_DESCRIPTOR)?;
@@ -259,6 +279,12 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         tile: mosaic.map(|m| m.tile),
         slice_distance: slice_distance(set),
         reference: text(set, tags::FRAME_OF_REFERENCE_UID),
+        units: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
+            .into_iter()
+            .map(|tag| text(set, tag))
+            .find(|t| !t.is_empty())
+            .unwrap_or_default(),
+        window: window(set),
         value_table: item(set, tags::MODALITY_LUT_SEQUENCE)
             .filter(|_| format.samples == 1 && !segmentation)
             .and_then(|table| value_table(table, format.signed)),
@@ -299,6 +325,8 @@ fn structure_set(source: ObjectLocation, syntax: String, set: &InMemDicomObject)
         padding: None,
         slice_distance: SliceDistance::Unstated,
         reference: String::new(),
+        units: String::new(),
+        window: None,
         value_table: None,
         inverted: false,
         segmentation: false,
