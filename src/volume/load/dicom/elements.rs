@@ -47,16 +47,23 @@ impl Encoding {
     };
 
     /// The encoding in which the first element of a data set is plausible; by default the declared
-    /// one.
-    fn seen(self, head: [u8; 8]) -> Self {
+    /// one. `rest`: number of bytes after the header.
+    fn seen(self, head: [u8; 8], rest: u64) -> Self {
         // Data sets and items start with one of the lowest groups.
         let big_endian = match (head[0], head[1]) {
             (0, 1..=0x28) => true,
             (1..=0x28, 0) => false,
             _ => self.big_endian,
         };
+        let length = [head[4], head[5], head[6], head[7]];
+        let length = if big_endian {
+            u32::from_be_bytes(length)
+        } else {
+            u32::from_le_bytes(length)
+        };
+        let implicit_fits = length == UNDEFINED || u64::from(length) <= rest;
         Self {
-            explicit: known_vr(&head[4..6]).is_some(),
+            explicit: known_vr(&head[4..6]).is_some() || self.explicit && !implicit_fits,
             big_endian,
         }
     }
@@ -190,7 +197,7 @@ impl Parser<'_> {
                 break;
             }
             if first && head[..4] != [0xfe, 0xff, 0x0d, 0xe0] {
-                encoding = encoding.seen(head);
+                encoding = encoding.seen(head, end.saturating_sub(self.position));
                 first = false;
             }
             let Header { tag, vr, length } = self.header(head, encoding, end)?;
