@@ -192,7 +192,7 @@ impl Image {
     }
 
     /// Component `c` of every voxel, as stored.
-    fn one_component(&self, c: usize) -> StoredValues {
+    pub(super) fn one_component(&self, c: usize) -> StoredValues {
         let (values, axis) = self.with_component_axis();
         let voxels = self.size.iter().product::<usize>();
         values.at_index(axis, c).reshaped(voxels)
