@@ -112,7 +112,7 @@ pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, St
         "ply" => ply::read(bytes),
         "off" => off::read(bytes),
         "gltf" | "glb" => gltf::read(bytes, path),
-        _ => gifti::read(bytes),
+        _ => gifti::read(bytes, path),
     }?;
     if listing.unusable > 0 {
         listing.warnings.push(format!(
