@@ -151,7 +151,7 @@ fn image(
     let (rescale, world_from_voxel) = (header.rescale(), geometry(header, size));
     let mut image = Image::new(header.format_name(), voxels, size, world_from_voxel);
     (image.components, image.rescale) = (components * stored.colors, rescale);
-    image.intent = header.intent();
+    (image.intent, image.intent_name) = (header.intent(), header.intent_name());
     (image.meaning, image.layout) = if stored.colors > 1 {
         (Meaning::Color, Layout::Interleaved)
     } else {

@@ -153,6 +153,17 @@ impl Header {
         }
     }
 
+    /// The name of the intent.
+    pub fn intent_name(&self) -> String {
+        let bytes: &[u8] = match self.version {
+            Version::Analyze => &[],
+            Version::One => &self.bytes[328..344],
+            Version::Two => &self.bytes[508..524],
+        };
+        let end = bytes.iter().position(|b| *b == 0).unwrap_or(bytes.len());
+        String::from_utf8_lossy(&bytes[..end]).trim().to_owned()
+    }
+
     /// Whether this is an FSL warp or direction map.
     fn is_fsl(&self) -> bool {
         (2006..=2009).contains(&self.intent())
