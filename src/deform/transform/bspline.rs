@@ -1,4 +1,4 @@
-//! ITK's B-spline transform: a displacement made of B-splines of order 0 to 3, mostly cubic ones, on
+//! ITK's B-spline transform: a displacement made of B-splines of order 1 to 3, mostly cubic ones, on
 //! a coarse grid of coefficients (Rueckert et al. 1999).
 
 use crate::volume::GridGeometry;
@@ -11,7 +11,7 @@ pub struct BSplineGrid {
     pub grid: GridGeometry,
     /// Displacement coefficients, LPS mm, i fastest.
     pub coefficients: Vec<Vec3>,
-    /// Order of the splines, 0 to 3.
+    /// Order of the splines, 1 to 3.
     pub order: usize,
     voxel_from_world: DAffine3,
 }
@@ -32,7 +32,6 @@ pub(crate) fn cubic_weights(t: f64) -> [f64; 4] {
 /// first one.
 fn weights(order: usize, t: f64) -> [f64; 4] {
     match order {
-        0 => [1.0, 0.0, 0.0, 0.0],
         1 => [1.0 - t, t, 0.0, 0.0],
         2 => {
             let u = t - 1.0;
@@ -48,7 +47,7 @@ fn weights(order: usize, t: f64) -> [f64; 4] {
 }
 
 impl BSplineGrid {
-    /// Coefficients on a grid, one per point, of splines of an order from 0 to 3.
+    /// Coefficients on a grid, one per point, of splines of an order from 1 to 3.
     pub fn new(grid: GridGeometry, coefficients: Vec<Vec3>, order: usize) -> Self {
         assert_eq!(
             coefficients.len(),
@@ -58,7 +57,7 @@ impl BSplineGrid {
         Self {
             grid,
             coefficients,
-            order: order.min(3),
+            order: order.clamp(1, 3),
             voxel_from_world: grid.world_from_voxel.inverse(),
         }
     }

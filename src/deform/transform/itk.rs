@@ -82,6 +82,15 @@ fn chain(path: &Path, entries: Vec<ItkTransform>) -> Result<Transform> {
         }
         entries.iter().take(1).collect()
     };
+    if own.is_empty() {
+        return Err(Error::file(
+            path,
+            "holds a composite without its transforms (ITK does not write them to .mat); save it as .h5 or .tfm",
+        ));
+    }
+    if own.iter().any(|e| e.is_spline_of_order_0()) {
+        warnings.push("holds B-splines of order 0, which ITK applies without moving anything".into());
+    }
     let steps = own
         .into_iter()
         .rev()

@@ -111,7 +111,7 @@ def make_freesurfer(cases):
     world_from_tk = FLIP @ RIGHT_HANDED @ np.linalg.inv(tk_from_voxel)
     dat = f"subject\n2.0\n3.0\n0.15\n{rows(M)}round\n"
     cases.write("others/register.dat", dat)
-    cases.add(KIND, "register-dat-without-volume", "others/register.dat", "FreeSurfer, tkregister", error=["register.dat", "moving=FILE"])
+    cases.add(KIND, "register-dat-without-volume", "others/register.dat", "FreeSurfer, tkregister", points=[], error=["register.dat", "moving=FILE"])
     cases.add(KIND, "register-dat", "others/register.dat", "FreeSurfer, tkregister", points=applied(world_from_tk @ M @ np.linalg.inv(world_from_tk), NEAR), options={"volume": image})
 
 
@@ -236,7 +236,7 @@ def make_fields(cases):
     cases.add(KIND, "ants-warp", "others/ants-warp.nii", "ITK", points=right(np.eye(3)))
     cases.write("others/displacement.nii", field(vectors, 1006))
     cases.add(KIND, "displacement-in-ras", "others/displacement.nii", "nifti1.h, DISPVECT", points=right(ras))
-    grid = np.stack(np.meshgrid(*[np.arange(n) for n in size], indexing="ij") + [np.ones(size)], axis=-1)
+    grid = np.stack([*np.meshgrid(*[np.arange(n) for n in size], indexing="ij"), np.ones(size)], axis=-1)
     mapping = (grid @ affine.T)[..., None, :3] + vectors
     cases.write("others/y_spm.nii", field(mapping.astype(np.float32), 1007, "Mapping"))
     cases.add(KIND, "spm-deformation", "others/y_spm.nii", "SPM 12, deformation fields", points=right(ras))

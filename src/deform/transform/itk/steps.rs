@@ -20,6 +20,13 @@ impl ItkTransform {
         self.kind.split_once('_').unwrap_or((&self.kind, ""))
     }
 
+    /// Whether this is a B-spline of order 0. ITK takes every point as outside of its grid, and moves
+    /// nothing.
+    pub fn is_spline_of_order_0(&self) -> bool {
+        let (name, dimensions) = self.name_and_dimensions();
+        name == "BSplineTransform" && dimensions.ends_with("_3_3_0")
+    }
+
     /// Fails unless there are exactly `n` parameters and at least `fixed` fixed parameters.
     fn require(&self, path: &Path, n: usize, fixed: usize) -> Result<()> {
         let (p, f) = (&self.parameters, &self.fixed);
@@ -102,6 +109,7 @@ pub(in crate::deform::transform) fn step(path: &Path, entry: &ItkTransform) -> R
         ));
     }
     match name {
+        _ if entry.is_spline_of_order_0() => Ok(TransformStep::Affine(DAffine3::IDENTITY)),
         "BSplineTransform" | "BSplineDeformableTransform" => bspline(path, entry).map(TransformStep::BSpline),
         "DisplacementFieldTransform"
         | "GaussianSmoothingOnUpdateDisplacementFieldTransform"
@@ -245,14 +253,14 @@ fn bspline(path: &Path, entry: &ItkTransform) -> Result<BSplineGrid> {
     let p = &entry.parameters;
     let (_, dimensions) = entry.name_and_dimensions();
     let order = match dimensions.split('_').collect::<Vec<_>>()[..] {
-        [_, "3", "3", order] => order.parse::<usize>().ok().filter(|n| *n <= 3),
+        [_, "3", "3", order] => order.parse::<usize>().ok().filter(|n| (1..=3).contains(n)),
         _ => Some(3),
     };
     let order = order.ok_or_else(|| {
         Error::file(
             path,
             format!(
-                "holds a {}; B-splines of the orders 0 to 3 can be read",
+                "holds a {}; B-splines of the orders 1 to 3 can be read",
                 entry.kind
             ),
         )
