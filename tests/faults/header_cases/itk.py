@@ -138,21 +138,22 @@ def make_grids(add):
         add(f"bspline-order-{order}", text(entry), inside, tolerance=0.02)
     # ITK's class moves nothing at order 0.
     add("bspline-order-0", text(("BSplineTransform_double_3_3_0", wave(3 * 64), GRID)), inside, warns=["order 0"])
-    fine = [6, 5, 7, -20, -10, -30, 10, 12, 11, 0.8, -0.6, 0, 0.6, 0.8, 0, 0, 0, 1]
-    entry = ("BSplineTransform_double_3_3", wave(3 * 210), fine)
+    fine = [5, 4, 6, -20, -10, -30, 10, 12, 11, 0.8, -0.6, 0, 0.6, 0.8, 0, 0, 0, 1]
+    entry = ("BSplineTransform_double_3_3", wave(3 * 120), fine)
     m = np.array(fine[9:18]).reshape(3, 3) @ np.diag(fine[6:9])
-    points = [tuple(float(x) for x in np.array(fine[3:6]) + m @ np.array(v)) for v in ([1.5, 1.5, 2], [3.2, 2.1, 4], [4, 2.9, 1.2])]
+    points = [tuple(float(x) for x in np.array(fine[3:6]) + m @ np.array(v)) for v in ([1.5, 1.5, 2], [2.2, 1.9, 4], [3, 1.1, 1.2])]
     add("bspline-oblique", text(entry), points, tolerance=0.02)
-    add("bspline-float", text(("BSplineTransform_float_3_3", wave(3 * 210), fine)), points, tolerance=0.02)
+    add("bspline-float", text(("BSplineTransform_float_3_3", wave(3 * 120), fine)), points, tolerance=0.02)
     old = ("BSplineDeformableTransform_double_3_3", wave(3 * 64), GRID)
     add("bspline-deformable", text(old), [], right=of_itk(text(("BSplineTransform_double_3_3", *old[1:])), inside), tolerance=0.02)
     composite = ("CompositeTransform_double_3_3", [], [])
     shift = ("TranslationTransform_double_3_3", [1, 2, 3], [])
     add("bspline-in-a-composite", text(composite, shift, ("BSplineTransform_double_3_3", slow_wave(3 * 64), GRID)), [(14.0, 14.5, 15.0), (13.0, 16.0, 12.0)], tolerance=0.05)
+    small = [3, 2, 2, *GRID[3:]]
     for kind in ("DisplacementFieldTransform", "GaussianSmoothingOnUpdateDisplacementFieldTransform", "BSplineSmoothingOnUpdateDisplacementFieldTransform"):
         for precision in ("double", "float"):
-            entry = (f"{kind}_{precision}_3_3", wave(3 * 64), GRID)
-            add(f"{kind[:12].lower()}-{precision}", text(entry), [(0.0, 10.0, 20.0), (3.0, 4.0, 5.0), (29.0, 11.0, 16.0)])
+            entry = (f"{kind}_{precision}_3_3", wave(3 * 12), small)
+            add(f"{kind[:12].lower()}-{precision}", text(entry), [(0.0, 10.0, 0.0), (3.0, 4.0, 5.0), (19.0, 9.0, 6.0)])
 
 
 def make_files(cases, add):

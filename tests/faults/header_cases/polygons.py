@@ -109,5 +109,5 @@ def make(cases):
     case("quads", obj(*cube), "obj", 8.0, 12, peer="trimesh", sdf=[[1, 1, 1, 1.0]])
     hexagon = [(math.cos(n * math.pi / 3), math.sin(n * math.pi / 3)) for n in range(6)]
     case("hexagon", off(*prism(hexagon)), "off", area(hexagon), 20, peer="trimesh")
-    many = [(math.cos(n * math.pi / 150) * (5 if n % 2 else 4), math.sin(n * math.pi / 150) * (5 if n % 2 else 4)) for n in range(300)]
-    case("star-of-300", obj(*prism(many)), "obj", area(many), 4 * 300 - 4, sdf=[[0, 0, 0.5, 0.5]])
+    many = [(math.cos(n * math.pi / 50) * (5 if n % 2 else 4), math.sin(n * math.pi / 50) * (5 if n % 2 else 4)) for n in range(100)]
+    case("star-of-100", obj(*prism(many)), "obj", area(many), 4 * 100 - 4, sdf=[[0, 0, 0.5, 0.5]])
