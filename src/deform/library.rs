@@ -180,17 +180,18 @@ impl Library {
                 .map(|e| e.to_string_lossy().to_ascii_lowercase())
                 .unwrap_or_default();
             let matrix = !matches!(ending.as_str(), "gz" | "nii" | "nrrd" | "nhdr" | "mha" | "mhd");
+            let convention = settings.text("convention")?;
             let context = if matrix {
                 TransformContext {
                     moving: moving.or(own),
                     reference: reference.or(own),
-                    convention: None,
+                    convention,
                 }
             } else {
                 TransformContext {
                     moving,
                     reference,
-                    convention: settings.text("convention")?,
+                    convention,
                 }
             };
             let one = Transform::load(&path, &context)?;

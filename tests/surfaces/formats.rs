@@ -340,8 +340,7 @@ pub fn shared_meshes_load_or_say_why() {
             "empty.ply",
             "empty.stl",
             "invalid.off",
-            "malformed.obj",
-            "malformed2.obj"
+            "malformed.obj"
         ]
     );
 }

@@ -16,6 +16,10 @@ use std::path::Path;
 const DISPLACEMENT_RAS: i16 = 1006;
 const VECTOR_LPS: i16 = 1007;
 const FSL_DISPLACEMENT: i16 = 2006;
+/// Name of the intent of SPM's deformations (`y_*.nii`), whose vectors are positions.
+const SPM_MAPPING: &str = "Mapping";
+
+const LPS_FROM_RAS: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
 
 /// Displacement vectors, source minus deformed point, LPS mm.
 #[derive(Clone)]
@@ -79,11 +83,15 @@ impl VectorField {
         let convention = match (context.convention, image.frame, image.intent) {
             (Some(c), _, _) => c,
             (None, Some(_), _) => "frame",
+            (None, None, VECTOR_LPS) if image.intent_name == SPM_MAPPING => "ras-absolute",
             (None, None, VECTOR_LPS) => "lps",
             (None, None, DISPLACEMENT_RAS) => "ras",
             (None, None, FSL_DISPLACEMENT) => "fsl",
-            (None, None, 2007..=2009) => {
-                return Err(fail("holds FSL spline coefficients; turn it into a field with fnirtfileutils --in=... --out=... first".into()));
+            (None, None, intent @ 2007..=2009) => {
+                let what = ["cubic spline", "discrete cosine", "quadratic spline"][intent as usize - 2007];
+                return Err(fail(format!(
+                    "holds {what} coefficients of FSL's fnirt; turn it into a field with fnirtfileutils --in=... --out=... first"
+                )));
             }
             (None, None, intent) => {
                 return Err(fail(format!(
@@ -107,7 +115,11 @@ impl VectorField {
         let vectors = match convention {
             "lps" => turned(DMat3::IDENTITY),
             "frame" => turned(image.frame.unwrap_or(DMat3::IDENTITY)),
-            "ras" => turned(DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0))),
+            "ras" => turned(LPS_FROM_RAS),
+            "ras-absolute" => Zip::indexed(&stated).par_map_collect(|(k, j, i), v| {
+                let voxel = DVec3::new(i as f64, j as f64, k as f64);
+                (LPS_FROM_RAS * v.as_dvec3() - grid.world_from_voxel.transform_point3(voxel)).as_vec3()
+            }),
             "fsl" | "fsl-absolute" => {
                 let own = world_from_fsl(&grid);
                 if convention == "fsl" && context.moving.is_none() {

@@ -7,18 +7,25 @@
 //!
 //! | format | direction in the file | space | read as |
 //! |---|---|---|---|
-//! | ITK `.tfm`, `.txt`, `.mat` (MATLAB 4, as ANTs writes) | fixed to moving | LPS | unchanged |
+//! | ITK `.tfm`, `.txt`, `.mat` (MATLAB 4, as ANTs writes), `.h5` | fixed to moving | LPS | unchanged |
+//! | elastix `TransformParameters.N.txt` | fixed to moving | LPS | unchanged |
 //! | AFNI `.1D`, `.aff12.1D`, `.afni` | base to source | LPS ("DICOM order") | unchanged |
 //! | FreeSurfer `.lta` | `src` to `dst`, `src` being the moving image | RAS, or voxels | inverted |
-//! | FSL `.mat`, `.fsl` | moving to reference | millimetres from the first voxel, x flipped where the axes are right-handed | inverted; needs both grids |
+//! | FreeSurfer `register.dat` | target to moving | tkregister's | needs both grids |
+//! | FSL `.mat`, `.fsl`, decimal or hexadecimal | moving to reference | millimetres from the first voxel, x flipped where the axes are right-handed | inverted; needs both grids |
+//! | MRtrix `.txt` (a comment names it); others with `convention=ras` | fixed to moving | RAS | unchanged |
+//! | MNI `.xfm` | source to target | RAS | inverted; if written by ITK: LPS, unchanged |
 //! | NIfTI vectors, intent 1007 (ITK, ANTs) / 1006 | fixed to moving | LPS / RAS | unchanged |
+//! | NIfTI vectors named "Mapping" (SPM `y_*.nii`) | fixed to moving, positions | RAS | minus their voxels' positions |
 //! | NIfTI, intent 2006 (FSL) | reference to moving, relative or absolute | as FSL's matrices | vectors along the grid's axes, or exactly with the moving grid |
 //! | NRRD, MetaImage vectors | fixed to moving | the file's | unchanged |
 
 mod affine_files;
 mod bspline;
+mod elastix;
 mod field;
 mod itk;
+mod numbers;
 
 pub use bspline::BSplineGrid;
 pub(crate) use bspline::cubic_weights;
@@ -31,13 +38,19 @@ use crate::{Error, Result, Watch};
 use glam::{DAffine3, DMat3, DVec3};
 use std::path::Path;
 
+/// What can be read, for messages.
+const SUPPORTED: &str = "ITK (.tfm, .txt, .mat, .h5), elastix, FSL, FreeSurfer (.lta, .dat), AFNI (.1D), MRtrix, MNI (.xfm) and vector images";
+/// First bytes of HDF5 files.
+#[cfg(feature = "hdf5")]
+const HDF5_START: &[u8] = b"\x89HDF\r\n\x1a\n";
+
 /// One step of a chain.
 pub enum TransformStep {
     /// The same everywhere.
     Affine(DAffine3),
     /// A displacement on a grid; nothing moves outside it.
     Field(VectorField),
-    /// Cubic B-splines on a coarse grid.
+    /// B-splines on a coarse grid.
     BSpline(BSplineGrid),
 }
 
@@ -83,6 +96,28 @@ fn world_from_fsl(grid: &GridGeometry) -> DAffine3 {
     grid.world_from_voxel * fsl_from_voxel(grid).inverse()
 }
 
+/// What a file is that another program writes and that cannot be read, and what to do; none for
+/// other files.
+fn foreign(name: &str, bytes: &[u8]) -> Option<&'static str> {
+    let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
+    Some(match () {
+        () if bytes.starts_with(b"MATLAB 5.0 MAT-file") || bytes.starts_with(b"MATLAB 7.3 MAT-file") => {
+            "is a MATLAB file of version 5 or later, as SPM writes (_sn.mat, _seg8.mat); write the deformation as an image instead (SPM: y_*.nii)"
+        }
+        () if ends(&[".m3z", ".m3d"]) => {
+            "is a FreeSurfer morph (.m3z), which cannot be read; convert it with mri_warp_convert --inm3z FILE --outitk warp.nii.gz"
+        }
+        () if ends(&[".mgz", ".mgh"]) => {
+            "is a FreeSurfer image (.mgz), which cannot be read; convert it with mri_warp_convert or mri_convert to .nii.gz"
+        }
+        () if ends(&[".x5"]) => {
+            "is in the X5 format, which cannot be read; save it as .tfm or as a displacement field"
+        }
+        () if bytes.starts_with(&[0x1f, 0x8b]) => "is compressed; decompress it with gunzip",
+        () => return None,
+    })
+}
+
 impl Transform {
     /// An affine transform.
     pub fn affine(source_from_deformed: DAffine3) -> Self {
@@ -123,14 +158,29 @@ impl Transform {
             ));
         }
         let bytes = input::bytes(path, 1 << 30, "transform of a known format")?;
+        #[cfg(feature = "hdf5")]
+        if bytes.starts_with(HDF5_START) {
+            return itk::read_hdf5(path);
+        }
+        if let Some(problem) = foreign(&name, &bytes) {
+            return Err(Error::file(path, problem));
+        }
         if let Some(transform) = itk::read_matlab(path, &bytes)? {
             return Ok(transform);
         }
-        let text = std::str::from_utf8(&bytes).map_err(|_| {
-            Error::file(path, "is not a readable transform; supported: ITK (.tfm, .mat), FSL, FreeSurfer (.lta), AFNI (.1D) and vector images")
-        })?;
+        let unreadable = || {
+            Error::file(
+                path,
+                format!("is not a readable transform; supported: {SUPPORTED}"),
+            )
+        };
+        let text = std::str::from_utf8(&bytes).map_err(|_| unreadable())?;
+        let text = text.trim_start_matches('\u{feff}').trim_start();
         if text.starts_with("#Insight Transform File") {
             return itk::read_text(path, text);
+        }
+        if elastix::is_elastix(text) {
+            return elastix::read(path, text);
         }
         affine_files::read(path, &name, text, context)
     }

@@ -5,6 +5,7 @@ mod gltf;
 mod obj;
 mod off;
 mod ply;
+mod polygon;
 mod stl;
 
 use super::Mesh;
@@ -26,20 +27,41 @@ const MAX_TRIANGLES: usize = 200_000_000;
 struct MeshFileContents {
     positions: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
+    /// Corners of the faces with more than three, one face after the other.
+    corners: Vec<u32>,
+    /// The end of each of these faces in `corners`.
+    face_ends: Vec<usize>,
     warnings: Vec<String>,
     /// Number of unusable faces.
     unusable: usize,
 }
 
 impl MeshFileContents {
-    /// A face with any number of corners, as a triangle fan.
+    /// A face with any number of corners.
     fn face(&mut self, corners: &[u32]) {
-        if corners.len() < 3 {
-            self.unusable += 1;
-            return;
+        match *corners {
+            [] | [_] | [_, _] => self.unusable += 1,
+            [a, b, c] => self.triangles.push([a, b, c]),
+            _ => {
+                self.corners.extend_from_slice(corners);
+                self.face_ends.push(self.corners.len());
+            }
         }
-        for n in 1..corners.len() - 1 {
-            self.triangles.push([corners[0], corners[n], corners[n + 1]]);
+    }
+
+    /// Divides faces with more than three corners into triangles; their vertices exist.
+    fn divide_faces(&mut self) {
+        let (mut start, mut fans) = (0, 0);
+        for &end in &self.face_ends {
+            let face = &self.corners[start..end];
+            fans += usize::from(!polygon::triangulate(&self.positions, face, &mut self.triangles));
+            start = end;
+        }
+        if fans > 0 {
+            self.warnings.push(format!(
+                "{fans} faces that are not convex have more than {} corners and were divided as if they were; divide them in a modelling program",
+                polygon::MAX_CORNERS
+            ));
         }
     }
 }
@@ -90,7 +112,7 @@ pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, St
         "ply" => ply::read(bytes),
         "off" => off::read(bytes),
         "gltf" | "glb" => gltf::read(bytes, path),
-        _ => gifti::read(bytes),
+        _ => gifti::read(bytes, path),
     }?;
     if listing.unusable > 0 {
         listing.warnings.push(format!(
@@ -98,18 +120,20 @@ pub fn parse(bytes: &[u8], ending: &str, path: Option<&Path>) -> Result<Mesh, St
             listing.unusable
         ));
     }
-    if listing.triangles.len() > MAX_TRIANGLES {
+    let triangles = listing.triangles.len() + listing.corners.len() - 2 * listing.face_ends.len();
+    if triangles > MAX_TRIANGLES {
         return Err(format!(
-            "has {} triangles; at most {MAX_TRIANGLES} are read",
-            listing.triangles.len()
+            "has {triangles} triangles; at most {MAX_TRIANGLES} are read"
         ));
     }
     let count = listing.positions.len();
-    if let Some(bad) = listing.triangles.iter().flatten().find(|&&v| v as usize >= count) {
+    let mut named = listing.triangles.iter().flatten().chain(&listing.corners);
+    if let Some(bad) = named.find(|&&v| v as usize >= count) {
         return Err(format!(
             "has a face that names vertex {bad} (counted from 0), but only {count} vertices"
         ));
     }
+    listing.divide_faces();
     let mesh = Mesh::new(listing.positions, listing.triangles, listing.warnings);
     if mesh.triangles.is_empty() {
         return Err(match mesh.degenerate {

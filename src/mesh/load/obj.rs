@@ -1,56 +1,80 @@
-//! Wavefront OBJ, by the tobj library. Materials and their files are not read.
+//! Wavefront OBJ: its vertices and faces. Our own reader: only the shape matters, so that an invalid
+//! line about materials, or a name in another encoding, is no reason to reject a file; and polygons
+//! must keep their corners to be divided correctly. Source: Wavefront, "Object Files (.obj)", 1995.
 
 use super::MeshFileContents;
 use glam::Vec3;
 
+/// Statements of curves and surfaces that are not made of polygons.
+const FREE_FORM: [&str; 3] = ["curv", "curv2", "surf"];
+
 pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
-    let options = tobj::LoadOptions {
-        triangulate: true,
-        ignore_points: true,
-        ignore_lines: true,
-        ..tobj::LoadOptions::default()
-    };
-    let no_materials = |_: &std::path::Path| Err(tobj::LoadError::OpenFileFailed);
-    // Only the shape matters: an invalid line about materials, or a name or comment in another
-    // encoding, is no reason to reject the file.
-    let joined = join_continued(bytes);
-    let is_shape = |line: &&[u8]| matches!(line.trim_ascii_start().first(), Some(b'v' | b'f'));
-    let shape: Vec<u8> = joined
-        .split_inclusive(|b| *b == b'\n')
-        .filter(is_shape)
-        .flatten()
-        .copied()
-        .collect();
-    let (models, _materials) = tobj::load_obj_buf(&mut std::io::Cursor::new(shape), &options, no_materials)
-        .map_err(|e| format!("is not a readable OBJ: {e}; a vertex or face line is malformed, or a face refers to a vertex that does not exist"))?;
     let mut listing = MeshFileContents::default();
-    for model in models {
-        let first = listing.positions.len() as u32;
-        listing
-            .positions
-            .extend(model.mesh.positions.chunks_exact(3).map(Vec3::from_slice));
-        listing.triangles.extend(
-            model
-                .mesh
-                .indices
-                .chunks_exact(3)
-                .map(|t| [t[0] + first, t[1] + first, t[2] + first]),
-        );
+    let mut face = Vec::new();
+    let mut free_form = 0;
+    // Files of classic Mac OS end their lines with carriage returns alone.
+    let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
+    let mut continued = String::new();
+    for (n, line) in bytes.split(|b| *b == end).enumerate() {
+        let line = String::from_utf8_lossy(line);
+        let line = line.split('#').next().unwrap_or("").trim();
+        if let Some(start) = line.strip_suffix('\\') {
+            continued.push_str(start);
+            continued.push(' ');
+            continue;
+        }
+        let joined = if continued.is_empty() {
+            line
+        } else {
+            continued.push_str(line);
+            &continued
+        };
+        let mut words = joined.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                // A weight or a colour may follow.
+                let mut number = || words.next().and_then(|w| w.parse::<f32>().ok());
+                let (Some(x), Some(y), Some(z)) = (number(), number(), number()) else {
+                    return Err(format!(
+                        "has \"{joined}\" in line {}; a vertex needs three numbers",
+                        n + 1
+                    ));
+                };
+                listing.positions.push(Vec3::new(x, y, z));
+            }
+            // "fo" is its name in old files.
+            Some("f" | "fo") => {
+                face.clear();
+                for word in words {
+                    face.push(corner(word, listing.positions.len()).map_err(|problem| {
+                        format!("has \"{word}\" in a face in line {}; {problem}", n + 1)
+                    })?);
+                }
+                listing.face(&face);
+            }
+            Some(word) if FREE_FORM.contains(&word) => free_form += 1,
+            _ => {}
+        }
+        continued.clear();
+    }
+    if free_form > 0 {
+        listing.warnings.push(format!(
+            "holds {free_form} free-form curves or surfaces, which were left out; only polygons are read"
+        ));
     }
     Ok(listing)
 }
 
-/// Joins lines continued by a backslash, which the library does not support.
-fn join_continued(bytes: &[u8]) -> Vec<u8> {
-    let mut joined = Vec::with_capacity(bytes.len());
-    for line in bytes.split_inclusive(|b| *b == b'\n') {
-        match line.trim_ascii_end().strip_suffix(b"\\") {
-            Some(start) => {
-                joined.extend_from_slice(start);
-                joined.push(b' ');
-            }
-            None => joined.extend_from_slice(line),
-        }
-    }
-    joined
+/// The vertex of a face's corner, `v`, `v/vt`, `v//vn` or `v/vt/vn`, counted from 1, or from the
+/// last one if negative.
+fn corner(word: &str, vertices: usize) -> Result<u32, String> {
+    let number = word.split('/').next().unwrap_or("").parse::<i64>().ok();
+    let index = match number {
+        Some(0) => return Err("vertices are counted from 1".into()),
+        Some(n) if n > 0 => n - 1,
+        Some(n) => vertices as i64 + n,
+        None => return Err("it is no vertex number".into()),
+    };
+    u32::try_from(index)
+        .map_err(|_| format!("it refers to a vertex that does not exist ({vertices} precede it)"))
 }

@@ -7,6 +7,8 @@ use glam::Vec3;
 
 const HEADER: usize = 84;
 const RECORD: usize = 50;
+/// Bytes in which a text file has no zero, but a binary one does.
+const TEXT_START: usize = 1024;
 
 pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
@@ -21,6 +23,7 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
         .trim_ascii_start()
         .get(..5)
         .is_some_and(|w| w.eq_ignore_ascii_case(b"solid"))
+        && !bytes[..bytes.len().min(TEXT_START)].contains(&0)
         && bytes.windows(6).any(|w| w.eq_ignore_ascii_case(b"vertex"));
     if is_text {
         return text(&String::from_utf8_lossy(bytes));
@@ -31,10 +34,15 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
         );
     };
     let mut listing = binary(bytes);
-    listing.warnings.push(format!(
-        "declares {declared} triangles and has room for {}; those were read",
-        (bytes.len() - HEADER) / RECORD
-    ));
+    let room = (bytes.len() - HEADER) / RECORD;
+    listing.warnings.push(if declared == room {
+        format!(
+            "has {} bytes after its triangles, which were left out",
+            bytes.len() - HEADER - room * RECORD
+        )
+    } else {
+        format!("declares {declared} triangles and has room for {room}; those were read")
+    });
     Ok(listing)
 }
 
@@ -64,26 +72,41 @@ fn text(text: &str) -> Result<MeshFileContents, String> {
     let mut face: Vec<u32> = Vec::new();
     let (mut polygons, mut ended) = (0, false);
     for (n, line) in text.lines().enumerate() {
-        let mut words = line.split_ascii_whitespace();
-        match words.next().map(str::to_ascii_lowercase).as_deref() {
-            Some("vertex") => {
-                let mut coordinate = || words.next().and_then(|w| w.parse::<f32>().ok());
-                let (Some(x), Some(y), Some(z)) = (coordinate(), coordinate(), coordinate()) else {
-                    return Err(format!("line {}: a vertex needs three numbers", n + 1));
-                };
-                face.push(listing.positions.len() as u32);
-                listing.positions.push(Vec3::new(x, y, z));
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        let is = |at: usize, word: &str| words.get(at).is_some_and(|w| w.eq_ignore_ascii_case(word));
+        let mut at = 0;
+        while at < words.len() {
+            match words[at].to_ascii_lowercase().as_str() {
+                "vertex" => {
+                    let number = |k: usize| words.get(at + k).and_then(|w| w.parse::<f32>().ok());
+                    let (Some(x), Some(y), Some(z)) = (number(1), number(2), number(3)) else {
+                        return Err(format!("line {}: a vertex needs three numbers", n + 1));
+                    };
+                    face.push(listing.positions.len() as u32);
+                    listing.positions.push(Vec3::new(x, y, z));
+                    at += 3;
+                }
+                // An unclosed loop ends with its facet, or where the next one begins.
+                word @ ("endloop" | "endfacet" | "facet" | "endsolid" | "solid") => {
+                    if !face.is_empty() {
+                        polygons += usize::from(face.len() > 3);
+                        listing.face(&face);
+                        face.clear();
+                    }
+                    if matches!(word, "solid" | "endsolid") {
+                        ended = word == "endsolid";
+                        // A name of any words follows, up to the next statement.
+                        while at + 1 < words.len()
+                            && !(is(at + 1, "facet") && is(at + 2, "normal") && words.len() > at + 6)
+                            && !is(at + 1, "solid")
+                        {
+                            at += 1;
+                        }
+                    }
+                }
+                _ => {}
             }
-            // An unclosed loop ends with its facet, or where the next one begins.
-            Some("endloop" | "endfacet" | "facet" | "endsolid") if !face.is_empty() => {
-                polygons += usize::from(face.len() > 3);
-                listing.face(&face);
-                face.clear();
-                ended = line.trim_start().to_ascii_lowercase().starts_with("endsolid");
-            }
-            Some("endsolid") => ended = true,
-            Some("solid") => ended = false,
-            _ => {}
+            at += 1;
         }
     }
     if !face.is_empty() {

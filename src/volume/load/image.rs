@@ -67,6 +67,8 @@ pub struct Image {
     pub world_from_voxel: DAffine3,
     /// NIfTI's intent code; 0 for other formats.
     pub intent: i16,
+    /// NIfTI's name of the intent; empty for other formats.
+    pub intent_name: String,
     /// World (LPS) from the axes of the vectors, if the format states them.
     pub frame: Option<DMat3>,
     /// Whether the file declares itself a displacement map of this program: four components, the
@@ -102,6 +104,7 @@ impl Image {
             inverted: false,
             world_from_voxel,
             intent: 0,
+            intent_name: String::new(),
             frame: None,
             displacement: false,
             channel_taken: false,
@@ -192,7 +195,7 @@ impl Image {
     }
 
     /// Component `c` of every voxel, as stored.
-    fn one_component(&self, c: usize) -> StoredValues {
+    pub(super) fn one_component(&self, c: usize) -> StoredValues {
         let (values, axis) = self.with_component_axis();
         let voxels = self.size.iter().product::<usize>();
         values.at_index(axis, c).reshaped(voxels)

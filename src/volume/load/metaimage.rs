@@ -6,14 +6,13 @@
 
 use super::ScalarType;
 use super::image::Image;
-use super::nrrd::{last_bytes, numbered};
+use super::nrrd::numbered;
 use super::source::{
-    ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_held, count, open_file,
-    read_error, sibling_file, skip, usable,
+    DEFLATE_LIMIT, ValueReader, buffered, check_held, count, read_error, sibling_file, skip, usable,
 };
 use super::{ReadOptions, StoredValues};
 use crate::{Error, Result, Watch};
-use flate2::read::ZlibDecoder;
+use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::json;
 use std::collections::HashMap;
@@ -43,7 +42,8 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let components = header.components()?;
     let scalar = header.scalar()?;
     let stored = count(path, &[size[0], size[1], size[2], components], scalar)?;
-    let world_from_voxel = header.geometry(sizes.len())?;
+    let whole = count(path, &[stored, frames], scalar)?;
+    let world_from_voxel = header.geometry(sizes.len(), &mut warnings)?;
     let data = header.need("elementdatafile")?;
     let local = data.eq_ignore_ascii_case("local");
     let values = ValueLayout {
@@ -67,13 +67,13 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         data_files(path, data, &mut reader)?
     };
     let voxels = if let Some(files) = pieces {
-        values.read_files(files)?
+        values.read_files(&files)?
     } else if local {
-        values.read_file(path, reader, file_bytes)?
+        values.read_file(path, reader, file_bytes, values.part(), whole)?
     } else {
         let other = sibling_file(path, data.trim())?;
         let (reader, file_bytes) = buffered(&other)?;
-        values.read_file(&other, reader, file_bytes)?
+        values.read_file(&other, reader, file_bytes, values.part(), whole)?
     };
     let mut image = Image::new("MetaImage", voxels, size, world_from_voxel);
     (image.components, image.frame, image.warnings) = (components, Some(DMat3::IDENTITY), warnings);
@@ -171,8 +171,18 @@ impl<'a> Header<'a> {
                     "has the size \"{text}\", which is not a list of positive numbers"
                 ))
             })?;
+        if let Some(rank) = self.get(&["ndims"])
+            && rank.parse() != Ok(sizes.len())
+        {
+            return Err(self.fail(format!(
+                "declares {rank} axes (NDims) and the sizes \"{text}\" (DimSize); its header is damaged"
+            )));
+        }
         if !(1..=4).contains(&sizes.len()) {
-            return Err(self.fail(format!("has {} axes; images of 1 to 3 can be read", sizes.len())));
+            return Err(self.fail(format!(
+                "has {} axes; images of 1 to 3 axes and one of time can be read",
+                sizes.len()
+            )));
         }
         Ok(sizes)
     }
@@ -194,10 +204,26 @@ impl<'a> Header<'a> {
     }
 
     /// Voxel indices to world millimetres for an image with `rank` axes.
-    fn geometry(&self, rank: usize) -> Result<DAffine3> {
+    fn geometry(&self, rank: usize, warnings: &mut Vec<String>) -> Result<DAffine3> {
         let spacing = self.numbers(&["elementspacing", "elementsize"], rank)?;
         let origin = self.numbers(&["offset", "position", "origin"], rank)?;
         let matrix = self.numbers(&["transformmatrix", "rotation", "orientation"], rank * rank)?;
+        if let Some(s) = spacing.iter().flatten().take(rank.min(3)).find(|s| **s <= 0.0) {
+            if *s == 0.0 {
+                return Err(self.fail("has a spacing of 0 between voxels; correct ElementSpacing".into()));
+            }
+            warnings.push(format!(
+                "has the negative spacing {s}; its absolute value is used"
+            ));
+        }
+        // ITK writes both and reads the matrix alone.
+        if let (Some(letters), None) = (self.get(&["anatomicalorientation"]), &matrix)
+            && !matches!(letters, "RAI" | "???")
+        {
+            warnings.push(format!(
+                "names the orientation {letters} and has no TransformMatrix; left, posterior, superior axes are assumed"
+            ));
+        }
         let mut linear = DMat3::IDENTITY;
         for a in 0..rank.min(3) {
             let direction = matrix.as_ref().map_or(DVec3::AXES[a], |m| {
@@ -215,7 +241,7 @@ impl<'a> Header<'a> {
             translation,
         };
         if !usable(&world_from_voxel) {
-            return Err(self.fail("has singular axes; its geometry cannot be used".into()));
+            return Err(self.fail("has a singular TransformMatrix; its geometry cannot be used".into()));
         }
         Ok(world_from_voxel)
     }
@@ -227,9 +253,13 @@ impl<'a> Header<'a> {
 
     /// Bytes before the values in a data file; -1 means that the values are at the file's end.
     fn header_size(&self) -> Result<i64> {
-        self.get(&["headersize"])
-            .map_or(Ok(0i64), str::parse)
-            .map_err(|_| self.fail("has a HeaderSize that is not a number".into()))
+        let text = self.get(&["headersize"]).unwrap_or("0");
+        let size = text.parse().ok().filter(|n| *n >= -1);
+        size.ok_or_else(|| {
+            self.fail(format!(
+                "has the HeaderSize \"{text}\", which is neither -1 nor a number of bytes"
+            ))
+        })
     }
 }
 
@@ -253,107 +283,103 @@ struct ValueLayout<'a> {
 }
 
 impl ValueLayout<'_> {
-    /// Bytes of the volume to read.
-    fn bytes(&self) -> u64 {
-        (self.count * self.scalar.bytes()) as u64
-    }
-
-    /// Bytes of the volumes before it.
-    fn bytes_ahead(&self) -> u64 {
-        self.bytes().saturating_mul(self.time as u64)
+    /// Values before the volume to read, and values of the volume.
+    fn part(&self) -> [usize; 2] {
+        [self.count * self.time, self.count]
     }
 
     /// Reads the binary values at the reader's position.
-    fn read_binary(&self, path: &Path, reader: impl Read) -> Result<StoredValues> {
+    fn read_binary(&self, path: &Path, reader: impl Read, count: usize) -> Result<StoredValues> {
         ValueReader {
             path,
             reader,
             swap: self.swap,
-            count: self.count,
+            count,
             watch: self.watch,
         }
         .read_as(self.scalar)
     }
 
     /// Reads values divided evenly among several files.
-    fn read_files(&self, files: Vec<PathBuf>) -> Result<StoredValues> {
-        let path = self.path;
+    fn read_files(&self, files: &[PathBuf]) -> Result<StoredValues> {
         let total = self
             .count
             .checked_mul(self.frames)
-            .filter(|n| n.is_multiple_of(files.len()) && !self.text && self.header_size <= 0);
-        let total = total.ok_or_else(|| {
+            .filter(|n| n.is_multiple_of(files.len()));
+        let piece = total.map(|n| n / files.len()).ok_or_else(|| {
             Error::file(
-                path,
+                self.path,
                 format!(
                     "names {} data files, which cannot hold equal parts of its values",
                     files.len()
                 ),
             )
         })?;
-        let piece = (total / files.len() * self.scalar.bytes()) as u64;
-        let mut most = 0u64;
-        for file in &files {
-            most = most.saturating_add(open_file(file)?.1);
+        let ([ahead, count], mut all) = (self.part(), None::<StoredValues>);
+        for (n, file) in files.iter().enumerate() {
+            // The part of the wanted values that this file holds.
+            let first = ahead.max(n * piece);
+            let end = (ahead + count).min((n + 1) * piece);
+            if first >= end {
+                continue;
+            }
+            let (reader, file_bytes) = buffered(file)?;
+            let values = self.read_file(file, reader, file_bytes, [first - n * piece, end - first], piece)?;
+            match &mut all {
+                None => all = Some(values),
+                Some(all) => {
+                    all.append(&values);
+                }
+            }
+            self.watch.check()?;
         }
-        let ahead = self.bytes_ahead();
-        check_held(
-            path,
-            ahead.saturating_add(self.bytes()),
-            most.saturating_mul(if self.compressed { DEFLATE_LIMIT } else { 1 }),
-        )?;
-        let open: OpenPiece = match (self.compressed, self.header_size) {
-            (true, _) => |p, _| Ok(Box::new(ZlibDecoder::new(buffered(p)?.0))),
-            (false, -1) => last_bytes,
-            _ => |p, _| Ok(Box::new(buffered(p)?.0)),
-        };
-        let mut chain = ConcatenatedFiles::new(files, piece, open);
-        skip(path, &mut chain, ahead)?;
-        self.read_binary(path, chain)
+        all.ok_or_else(|| Error::file(self.path, "names no data file with the values to read"))
     }
 
-    /// Reads values from one file: the image's own, with the reader after the header, or a separate
-    /// one.
-    fn read_file(&self, file: &Path, mut reader: BufReader<File>, file_bytes: u64) -> Result<StoredValues> {
-        let (bytes, ahead) = (self.bytes(), self.bytes_ahead());
-        if self.text {
-            check_held(
-                file,
-                (ahead / self.scalar.bytes() as u64 + self.count as u64)
-                    .saturating_mul(2)
-                    .saturating_sub(1),
-                file_bytes,
-            )?;
-            return super::text::values(
-                file,
-                reader,
-                [self.count * self.time, self.count],
-                self.scalar,
-                self.watch,
-            );
-        }
-        if self.compressed {
-            check_held(
-                file,
-                ahead.saturating_add(bytes),
-                file_bytes.saturating_mul(DEFLATE_LIMIT),
-            )?;
-            let mut decoder = ZlibDecoder::new(reader);
-            skip(file, &mut decoder, ahead)?;
-            return self.read_binary(file, decoder);
-        }
-        check_held(file, ahead.saturating_add(bytes), file_bytes)?;
-        // -1 means that the values are at the file's end.
-        let before = match self.header_size {
-            -1 => file_bytes.saturating_sub(bytes.saturating_mul(self.frames as u64)),
-            n if n > 0 && !self.local => n as u64,
-            _ => 0,
-        };
-        if self.local && self.header_size == -1 {
+    /// Reads `count` values after `ahead` others from one file of `whole` values: the image's own,
+    /// with the reader after the header, or a separate one.
+    fn read_file(
+        &self,
+        file: &Path,
+        mut reader: BufReader<File>,
+        file_bytes: u64,
+        [ahead, count]: [usize; 2],
+        whole: usize,
+    ) -> Result<StoredValues> {
+        let size = self.scalar.bytes() as u64;
+        let end = (ahead as u64 + count as u64).saturating_mul(size);
+        if self.header_size >= 0 {
+            // In the image's own file, the header size counts from the start of the file.
+            if self.local && self.header_size > 0 {
+                reader = buffered(file)?.0;
+            }
+            skip(file, &mut reader, self.header_size.unsigned_abs())?;
+        } else if !self.text && !self.compressed {
+            let bytes = (whole as u64).saturating_mul(size);
+            check_held(file, bytes, file_bytes)?;
             reader = buffered(file)?.0;
+            skip(file, &mut reader, file_bytes - bytes)?;
         }
-        skip(file, &mut reader, before.saturating_add(ahead))?;
-        self.read_binary(file, reader)
+        if self.text {
+            // A value and its separator take at least two bytes.
+            check_held(file, (end / size).saturating_mul(2).saturating_sub(1), file_bytes)?;
+            return super::text::values(file, reader, [ahead, count], self.scalar, self.watch);
+        }
+        let before = (ahead as u64).saturating_mul(size);
+        if self.compressed {
+            check_held(file, end, file_bytes.saturating_mul(DEFLATE_LIMIT))?;
+            let mut decoder: Box<dyn Read> = if reader.fill_buf().is_ok_and(|b| b.starts_with(&[0x1f, 0x8b]))
+            {
+                Box::new(MultiGzDecoder::new(reader))
+            } else {
+                Box::new(ZlibDecoder::new(reader))
+            };
+            skip(file, &mut decoder, before)?;
+            return self.read_binary(file, decoder, count);
+        }
+        check_held(file, end, file_bytes)?;
+        skip(file, &mut reader, before)?;
+        self.read_binary(file, reader, count)
     }
 }
 

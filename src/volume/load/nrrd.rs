@@ -8,23 +8,22 @@
 
 mod geometry;
 mod header;
+mod segmentation;
 mod values;
 
 use super::super::StoredValues;
-use super::super::colors::Label;
 use super::ReadOptions;
 use super::ScalarType;
 use super::image::{Image, Layout, Meaning};
 use super::source::{buffered, count, sibling_file};
 use crate::{Error, Result, Watch};
 use geometry::geometry;
-use header::{LIST_KEY, header, required, words};
+use glam::DVec3;
+use header::{Header, header, required, vector, words};
 use ndarray::{Axis, IxDyn};
 use serde_json::json;
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use values::Data;
-pub(super) use values::last_bytes;
 
 /// Maximum number of data files of a detached header.
 const MAX_FILES: usize = 100_000;
@@ -42,13 +41,16 @@ struct Axes {
 /// Reads an image.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let (mut reader, file_bytes) = buffered(path)?;
-    let fields = header(path, &mut reader)?;
-    let (axes, scalar) = axes_and_type(path, &fields)?;
+    let mut header = header(path, &mut reader)?;
+    let segments = segmentation::segments(&header);
+    let (axes, scalar) = axes_and_type(path, &header, !segments.is_empty())?;
+    let kind = components_kind(&header, &axes);
+    check_kind(path, kind.as_deref(), choice)?;
     let total = count(path, &axes.sizes, scalar)?;
-    let mut warnings = Vec::new();
-    let (world_from_voxel, frame) = geometry(&fields, &axes.spatial, axes.sizes.len(), &mut warnings)
+    let mut warnings = std::mem::take(&mut header.warnings);
+    let (world_from_voxel, frame) = geometry(&header.fields, &axes.spatial, axes.sizes.len(), &mut warnings)
         .map_err(|problem| Error::file(path, problem))?;
-    let data = Data::new(path, &fields, scalar, total, watch)?;
+    let data = Data::new(path, &header, scalar, watch)?;
 
     // If the time axis is the slowest, other times are skipped while reading; otherwise they are
     // removed afterwards.
@@ -60,32 +62,25 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     } else {
         (total, 0)
     };
-    let voxels = match data_files(path, &fields, &axes)? {
-        None => data.read(
-            path,
-            reader,
-            file_bytes,
-            [ahead, stored],
-            slowest && time + 1 < frames,
-        )?,
+    let voxels = match data_files(path, &header, &axes)? {
+        None => data.read(path, reader, file_bytes, [ahead, stored], total)?,
         Some(files) if files.len() == 1 => {
             let (reader, file_bytes) = buffered(&files[0])?;
-            data.read(
-                &files[0],
-                reader,
-                file_bytes,
-                [ahead, stored],
-                slowest && time + 1 < frames,
-            )?
+            data.read(&files[0], reader, file_bytes, [ahead, stored], total)?
         }
-        Some(files) => data.read_pieces(files, total, [ahead, stored])?,
+        Some(files) => data.read_pieces(&files, total, [ahead, stored])?,
     };
     let (voxels, components, layout) = arranged(voxels, &axes, if slowest { None } else { Some(time) });
     let size: [usize; 3] = std::array::from_fn(|a| axes.spatial.get(a).map_or(1, |&s| axes.sizes[s]));
     let mut image = Image::new("NRRD", voxels, size, world_from_voxel);
     (image.components, image.layout, image.frame) = (components, layout, Some(frame));
-    image.displacement = fields.get(MAP_KEY).map(String::as_str) == Some("displacement map 1");
-    image.meaning = meaning(&fields, &axes);
+    image.displacement = header.keys.get(MAP_KEY).map(String::as_str) == Some("displacement map 1");
+    image.meaning = meaning(kind.as_deref());
+    if kind.as_deref() == Some("complex") && choice.channel.is_none() {
+        warnings.push(
+            "holds complex numbers; their real part is channel 1 and their imaginary part channel 2".into(),
+        );
+    }
     if frames > 1 {
         if choice.time.is_none() {
             warnings.push(format!(
@@ -95,55 +90,72 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         image.details.push(("time_points", json!(frames)));
     }
     image.warnings = warnings;
+    if !segments.is_empty() {
+        segmentation::apply(path, &mut image, segments, choice)?;
+    }
     Ok(image)
 }
 
 /// Files with the values, if the header is detached: one, a list, or a pattern with numbers.
-fn data_files(path: &Path, fields: &HashMap<String, String>, axes: &Axes) -> Result<Option<Vec<PathBuf>>> {
-    let Some(named) = fields.get("data file").or(fields.get("datafile")) else {
+fn data_files(path: &Path, header: &Header, axes: &Axes) -> Result<Option<Vec<PathBuf>>> {
+    let Some(named) = header.get("data file") else {
         return Ok(None);
     };
     let fail = |problem: String| Error::file(path, problem);
-    let of = |names: Vec<String>| {
-        if names.is_empty() || names.len() > MAX_FILES {
-            return Err(fail(format!(
-                "names {} data files; 1 to {MAX_FILES} can be read",
-                names.len()
-            )));
-        }
-        names
-            .iter()
-            .map(|n| sibling_file(path, n.trim()))
-            .collect::<Result<Vec<_>>>()
-            .map(Some)
-    };
     let words: Vec<&str> = named.split_whitespace().collect();
-    if words.first() == Some(&"LIST") {
-        if words
-            .get(1)
-            .and_then(|w| w.parse::<usize>().ok())
-            .is_some_and(|n| n + 1 < axes.sizes.len())
-        {
-            return Err(fail(
-                "has data files of less than a slice each; join them into one".into(),
-            ));
+    let (names, piece_axes) = match words[..] {
+        ["LIST", ref rest @ ..] => (header.list.clone(), rest.first().copied()),
+        [pattern, first, last, step, ref rest @ ..] if pattern.contains('%') => {
+            let numbers = [first, last, step].map(|w| w.parse::<i64>().ok());
+            let [Some(first), Some(last), Some(step)] = numbers else {
+                return Err(fail(format!(
+                    "has an invalid pattern of data files: \"{named}\"; it must be PATTERN FIRST LAST STEP"
+                )));
+            };
+            (
+                numbered(pattern, first, last, step).map_err(fail)?,
+                rest.first().copied(),
+            )
         }
-        return of(fields
-            .get(LIST_KEY)
-            .map_or(Vec::new(), |l| l.lines().map(str::to_owned).collect()));
+        _ => (vec![named.to_owned()], None),
+    };
+    if names.is_empty() || names.len() > MAX_FILES {
+        return Err(fail(format!(
+            "names {} data files; 1 to {MAX_FILES} can be read",
+            names.len()
+        )));
     }
-    if let [pattern, first, last, step, ..] = words[..]
-        && pattern.contains('%')
-    {
-        let numbers = [first, last, step].map(|w| w.parse::<i64>().ok());
-        let [Some(first), Some(last), Some(step)] = numbers else {
-            return Err(fail(format!(
-                "has an invalid pattern of data files: \"{named}\"; it must be PATTERN FIRST LAST STEP"
-            )));
-        };
-        return of(numbered(pattern, first, last, step).map_err(fail)?);
+    if let Some(word) = piece_axes {
+        check_pieces(word, names.len(), &axes.sizes).map_err(fail)?;
     }
-    of(vec![named.clone()])
+    names
+        .iter()
+        .map(|n| sibling_file(path, n.trim()))
+        .collect::<Result<Vec<_>>>()
+        .map(Some)
+}
+
+/// Checks the number of data files if each holds the first `word` axes: one file for every index of
+/// the other axes. Files of all axes divide the slowest one.
+fn check_pieces(word: &str, files: usize, sizes: &[usize]) -> Result<(), String> {
+    let axes = word
+        .parse::<usize>()
+        .ok()
+        .filter(|n| (1..=sizes.len()).contains(n));
+    let axes = axes.ok_or_else(|| {
+        format!(
+            "has data files of \"{word}\" axes each; it must be a number from 1 to {}",
+            sizes.len()
+        )
+    })?;
+    let needed = sizes[axes..].iter().try_fold(1usize, |n, &d| n.checked_mul(d));
+    if axes < sizes.len() && needed != Some(files) {
+        return Err(format!(
+            "names {files} data files of {axes} axes each; its sizes need {}",
+            needed.unwrap_or(usize::MAX)
+        ));
+    }
+    Ok(())
 }
 
 /// The names generated by a pattern such as `slice%03d.raw`.
@@ -223,92 +235,96 @@ fn arranged(voxels: StoredValues, axes: &Axes, time: Option<usize>) -> (StoredVa
     )
 }
 
-/// The meaning of the values: from the kind of the component axis, or from 3D Slicer's segment
-/// fields.
-fn meaning(fields: &HashMap<String, String>, axes: &Axes) -> Meaning {
-    let segments = fields
-        .keys()
-        .filter_map(|k| k.strip_prefix("segment")?.strip_suffix("_labelvalue"))
-        .filter(|n| n.parse::<u32>().is_ok());
-    let mut labels: Vec<Label> = segments
-        .filter_map(|n| {
-            let get = |key: &str| fields.get(&format!("segment{n}_{key}"));
-            let value = get("labelvalue")?.trim().parse().ok()?;
-            let shares: Vec<f32> = get("color").map_or(Vec::new(), |c| {
-                c.split_whitespace().map_while(|w| w.parse().ok()).collect()
-            });
-            let color = <[f32; 3]>::try_from(shares)
-                .ok()
-                .map(|c| c.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
-            Some(Label {
-                value,
-                name: get("name").cloned().unwrap_or_default(),
-                color,
-            })
-        })
-        .collect();
-    if !labels.is_empty() {
-        labels.sort_by_key(|l| l.value);
-        return Meaning::Labels(labels);
+/// The kind of the axis of components, in lower case; none without such an axis or a kind.
+fn components_kind(header: &Header, axes: &Axes) -> Option<String> {
+    let kind = header.get("kinds")?.split_whitespace().nth(axes.components?)?;
+    Some(kind.to_ascii_lowercase())
+}
+
+/// Refuses kinds whose values cannot be shown together, unless one of them is chosen.
+fn check_kind(path: &Path, kind: Option<&str>, choice: &ReadOptions) -> Result<()> {
+    match kind {
+        Some(kind) if kind.ends_with("-matrix") && choice.channel.is_none() => Err(Error::file(
+            path,
+            format!(
+                "holds matrices (of the kind \"{kind}\"), which cannot be shown; choose one of their numbers with --channel"
+            ),
+        )),
+        Some(kind @ ("hsv-color" | "xyz-color")) if choice.channel.is_none() => Err(Error::file(
+            path,
+            format!(
+                "holds colours of the kind \"{kind}\"; only RGB-color and RGBA-color can be shown; convert it or choose a channel with --channel"
+            ),
+        )),
+        _ => Ok(()),
     }
-    let kind = axes.components.and_then(|c| {
-        fields
-            .get("kinds")?
-            .split_whitespace()
-            .nth(c)
-            .map(str::to_ascii_lowercase)
-    });
-    match kind.as_deref() {
+}
+
+/// The meaning of the values, from the kind of the component axis.
+fn meaning(kind: Option<&str>) -> Meaning {
+    match kind {
         Some("rgb-color" | "rgba-color" | "3-color" | "4-color") => Meaning::Color,
         Some("vector" | "covariant-vector" | "normal" | "3-vector" | "3-gradient" | "3-normal") => {
             Meaning::Vectors
         }
+        Some("quaternion" | "complex") => Meaning::Channels(Vec::new()),
         _ => Meaning::Unstated,
     }
 }
 
 /// The axes and the type of the values, from the header.
-fn axes_and_type(path: &Path, fields: &HashMap<String, String>) -> Result<(Axes, ScalarType)> {
+fn axes_and_type(path: &Path, header: &Header, segmented: bool) -> Result<(Axes, ScalarType)> {
     let fail = |problem: String| Error::file(path, problem);
-    let get = |name: &str| fields.get(name).map(String::as_str);
-    let need = |name: &str| required(path, fields, name);
-    let whole = |text: &str| {
-        text.split_whitespace()
-            .map(|w| w.parse::<usize>().ok().filter(|&n| n > 0))
-            .collect::<Option<Vec<_>>>()
-    };
-    let sizes = whole(need("sizes")?).ok_or_else(|| {
-        fail(format!(
-            "has the sizes \"{}\", which are not positive numbers",
-            get("sizes").unwrap_or("")
-        ))
-    })?;
-    if need("dimension")?.trim().parse() != Ok(sizes.len()) || !(1..=5).contains(&sizes.len()) {
+    let need = |name: &str| required(path, header, name);
+    let text = need("sizes")?;
+    let sizes = text
+        .split_whitespace()
+        .map(|w| w.parse::<usize>().ok().filter(|&n| n > 0))
+        .collect::<Option<Vec<_>>>()
+        .ok_or_else(|| {
+            fail(format!(
+                "has the sizes \"{text}\", which are not positive numbers"
+            ))
+        })?;
+    let dimension = need("dimension")?;
+    if dimension.parse() != Ok(sizes.len()) {
+        return Err(fail(format!(
+            "has the dimension \"{dimension}\" and {} sizes; its header is damaged",
+            sizes.len()
+        )));
+    }
+    if !(1..=5).contains(&sizes.len()) {
         return Err(fail(format!(
             "has {} axes; images of 1 to 3, one axis of components and one of time can be read",
             sizes.len()
         )));
     }
-    let scalar = scalar_type(need("type")?).ok_or_else(|| {
-        fail(format!(
-            "has the type \"{}\", which is not supported",
-            get("type").unwrap_or("")
-        ))
-    })?;
-    Ok((axes(fields, sizes).map_err(fail)?, scalar))
+    let name = need("type")?;
+    if name.eq_ignore_ascii_case("block") {
+        return Err(fail(
+            "has the type \"block\", opaque blocks of bytes that are no numbers; they cannot be shown".into(),
+        ));
+    }
+    let scalar =
+        scalar_type(name).ok_or_else(|| fail(format!("has the type \"{name}\", which is not supported")))?;
+    Ok((axes(header, sizes, segmented).map_err(fail)?, scalar))
 }
 
 fn scalar_type(name: &str) -> Option<ScalarType> {
-    Some(match name.trim() {
+    Some(match name.to_ascii_lowercase().as_str() {
         "uchar" | "unsigned char" | "uint8" | "uint8_t" => ScalarType::U8,
-        "signed char" | "int8" | "int8_t" => ScalarType::I8,
+        "signed char" | "char" | "int8" | "int8_t" => ScalarType::I8,
         "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => ScalarType::I16,
         "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => ScalarType::U16,
         "int" | "signed int" | "int32" | "int32_t" => ScalarType::I32,
         "uint" | "unsigned int" | "uint32" | "uint32_t" => ScalarType::U32,
-        "longlong" | "long long" | "long long int" | "signed long long" | "int64" | "int64_t" => {
-            ScalarType::I64
-        }
+        "longlong"
+        | "long long"
+        | "long long int"
+        | "signed long long"
+        | "signed long long int"
+        | "int64"
+        | "int64_t" => ScalarType::I64,
         "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => {
             ScalarType::U64
         }
@@ -318,18 +334,29 @@ fn scalar_type(name: &str) -> Option<ScalarType> {
     })
 }
 
-/// The role of each axis: from kinds, from missing directions, else the first three are spatial.
-fn axes(fields: &HashMap<String, String>, sizes: Vec<usize>) -> Result<Axes, String> {
-    let kinds: Vec<String> = fields.get("kinds").map_or(Vec::new(), |k| {
+/// The role of each axis: from kinds, from missing directions, else the first three are spatial. A
+/// list is time, or components if it is short; in a segmentation it holds the layers.
+fn axes(header: &Header, sizes: Vec<usize>, segmented: bool) -> Result<Axes, String> {
+    let kinds: Vec<String> = header.get("kinds").map_or(Vec::new(), |k| {
         k.split_whitespace().map(str::to_ascii_lowercase).collect()
     });
-    let directions = fields.get("space directions").map_or(Vec::new(), |d| words(d));
-    let map = fields.contains_key(MAP_KEY);
+    let directions: Vec<Option<DVec3>> = header
+        .get("space directions")
+        .map_or(Vec::new(), |d| words(d).iter().map(|w| vector(w)).collect());
+    let none_words = header.get("space directions").map_or(Vec::new(), words);
+    let map = header.keys.contains_key(MAP_KEY);
     let (mut components, mut time, mut spatial) = (None, None, Vec::new());
     for (axis, &size) in sizes.iter().enumerate() {
         let kind = kinds.get(axis).map_or("???", String::as_str);
-        let none = directions.get(axis).is_some_and(|d| d == "none");
-        let is_time = kind == "time" || (kind == "list" && !map && size > 4);
+        let direction = directions.get(axis).copied().flatten();
+        let none = none_words
+            .get(axis)
+            .is_some_and(|d| d.eq_ignore_ascii_case("none"))
+            || direction.is_some_and(|d| d.is_nan_mask().all());
+        // The step of a time axis has no part in space.
+        let is_time = kind == "time"
+            || (kind == "list" && !map && !segmented && size > 4)
+            || (axis > 0 && direction == Some(DVec3::ZERO));
         if is_time && time.is_none() {
             time = Some(axis);
         } else if (none || !matches!(kind, "domain" | "space" | "???" | "none")) && !is_time {

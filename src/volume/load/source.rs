@@ -11,7 +11,7 @@ pub(super) use crate::files::reference::sibling_file;
 use crate::{ByteProgress, Error, Result, Watch};
 use glam::DAffine3;
 use std::io::{ErrorKind, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Maximum compression ratio of bzip2: 900 kB of one byte take 46 bytes.
 pub(super) const BZIP2_LIMIT: u64 = 25_000;
@@ -193,50 +193,4 @@ pub(super) fn zeroed<T: RawScalar>(path: &Path, count: usize) -> Result<Vec<T>> 
     reserved::<T>(path, count)?;
     // Fresh zero pages, not written to.
     Ok(vec![T::default(); count])
-}
-
-/// Opens a file that should contain a given number of bytes.
-pub(super) type OpenPiece = fn(&Path, u64) -> Result<Box<dyn Read + Send>>;
-
-/// Bytes of several files in sequence: for each, the bytes after its header, uncompressed, up to
-/// the size of a piece.
-pub(super) struct ConcatenatedFiles {
-    files: std::vec::IntoIter<PathBuf>,
-    open: OpenPiece,
-    piece: u64,
-    current: Option<std::io::Take<Box<dyn Read + Send>>>,
-}
-
-impl ConcatenatedFiles {
-    /// `open` takes a file and the number of bytes that it should contain.
-    pub fn new(files: Vec<PathBuf>, piece: u64, open: OpenPiece) -> Self {
-        Self {
-            files: files.into_iter(),
-            open,
-            piece,
-            current: None,
-        }
-    }
-}
-
-impl Read for ConcatenatedFiles {
-    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
-        loop {
-            if let Some(current) = &mut self.current {
-                let read = current.read(bytes)?;
-                if read > 0 || bytes.is_empty() {
-                    return Ok(read);
-                }
-                if current.limit() > 0 {
-                    return Err(ErrorKind::UnexpectedEof.into());
-                }
-            }
-            let Some(path) = self.files.next() else {
-                return Ok(0);
-            };
-            let opened = (self.open)(&path, self.piece)
-                .map_err(|e| std::io::Error::new(ErrorKind::InvalidData, e.to_string()))?;
-            self.current = Some(opened.take(self.piece));
-        }
-    }
 }

@@ -46,7 +46,7 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
         Some("left-anterior-superior" | "las" | "left-anterior-superior-time" | "last") => {
             DVec3::new(1.0, -1.0, 1.0)
         }
-        Some("3d-right-handed" | "scanner-xyz") => DVec3::ONE,
+        Some("3d-right-handed" | "scanner-xyz" | "3d-right-handed-time" | "scanner-xyz-time") => DVec3::ONE,
         Some(other) => {
             warnings.push(format!(
                 "its space \"{other}\" is not a patient space; left, posterior, superior axes are assumed"
@@ -61,7 +61,8 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
         }
     };
     let units = fields.get("space units").map(|u| {
-        u.split_whitespace()
+        words(u)
+            .iter()
             .map(|w| mm_of(w.trim_matches('"')))
             .collect::<Vec<_>>()
     });
@@ -110,8 +111,7 @@ fn axis_vectors_and_origin(fields: &HashMap<String, String>, spatial: &[usize]) 
     let unit = |axis: usize| unit_mm(fields, axis);
     let cell = |axis: usize| {
         fields
-            .get("centers")
-            .or(fields.get("centerings"))
+            .get("centerings")
             .is_some_and(|c| c.split_whitespace().nth(axis) == Some("cell"))
     };
     let (mins, maxs, sizes) = (
@@ -200,11 +200,12 @@ fn unit_mm(fields: &HashMap<String, String>, axis: usize) -> f64 {
 /// Millimetres per unit of length; none if it is not a unit of length.
 fn mm_of(unit: &str) -> Option<f64> {
     Some(match unit.to_ascii_lowercase().as_str() {
-        "mm" | "millimeter" | "millimeters" | "millimetre" => 1.0,
-        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometers" => 1e-3,
-        "nm" | "nanometer" | "nanometers" => 1e-6,
-        "cm" | "centimeter" | "centimeters" => 10.0,
-        "m" | "meter" | "meters" => 1000.0,
+        "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => 1.0,
+        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometers" | "micrometre"
+        | "micrometres" => 1e-3,
+        "nm" | "nanometer" | "nanometers" | "nanometre" | "nanometres" => 1e-6,
+        "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => 10.0,
+        "m" | "meter" | "meters" | "metre" | "metres" => 1000.0,
         _ => return None,
     })
 }

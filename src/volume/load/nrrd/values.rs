@@ -1,20 +1,25 @@
 //! The values of an NRRD file: raw, gzip, bzip2, text or hex, in one data file or many.
+//!
+//! Lines are skipped in the file as stored, then bytes: of the file, or of what a compressed stream
+//! unpacks to. A byte skip of -1 means that the values are the last bytes, -N that N - 1 more follow
+//! them (teem, `nrrdByteSkip` and its encodings).
 
 use super::super::super::StoredValues;
 use super::super::ScalarType;
 use super::super::source::{
-    BZIP2_LIMIT, ConcatenatedFiles, DEFLATE_LIMIT, OpenPiece, ValueReader, buffered, check_end, check_held,
-    open_file, read_error, skip,
+    BZIP2_LIMIT, DEFLATE_LIMIT, ValueReader, buffered, check_end, check_held, read_error, skip,
 };
 use super::super::text;
-use super::header::required;
+use super::header::{Header, required};
 use crate::{Error, Result, Watch};
 use bzip2::read::MultiBzDecoder;
 use flate2::read::MultiGzDecoder;
-use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+
+/// Bytes unpacked at once to find the length of a stream.
+const COUNTED_AT_ONCE: u64 = 1 << 24;
 
 /// The encoding of the values.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -33,28 +38,24 @@ pub(super) struct Data<'a> {
     swap: bool,
     encoding: Encoding,
     line_skip: u64,
-    byte_skip: i64,
-    /// Number of values of all times.
-    whole: usize,
+    byte_skip: ByteSkip,
     watch: &'a Watch<'a>,
 }
 
+/// Bytes to skip: of the file, or of what a compressed stream unpacks to.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum ByteSkip {
+    /// Before the values.
+    Before(u64),
+    /// The values end this far before the end.
+    AfterValues(u64),
+}
+
 impl<'a> Data<'a> {
-    /// How `whole` values are stored, from the header.
-    pub fn new(
-        path: &'a Path,
-        fields: &HashMap<String, String>,
-        scalar: ScalarType,
-        whole: usize,
-        watch: &'a Watch<'a>,
-    ) -> Result<Self> {
+    /// How the values are stored, from the header.
+    pub fn new(path: &'a Path, header: &Header, scalar: ScalarType, watch: &'a Watch<'a>) -> Result<Self> {
         let fail = |problem: String| Error::file(path, problem);
-        let get = |name: &str| fields.get(name).map(String::as_str);
-        let encoding = match required(path, fields, "encoding")?
-            .trim()
-            .to_ascii_lowercase()
-            .as_str()
-        {
+        let encoding = match required(path, header, "encoding")?.to_ascii_lowercase().as_str() {
             "raw" => Encoding::Raw,
             "gzip" | "gz" => Encoding::Gzip,
             "bzip2" | "bz2" => Encoding::Bzip2,
@@ -66,69 +67,74 @@ impl<'a> Data<'a> {
                 )));
             }
         };
-        let swap = scalar.bytes() > 1
-            && match required(path, fields, "endian").map(str::trim) {
-                Ok("little") => cfg!(target_endian = "big"),
-                Ok("big") => cfg!(target_endian = "little"),
-                Ok(other) => {
+        let needs_order = scalar.bytes() > 1 && encoding != Encoding::Text;
+        let swap = needs_order
+            && match required(path, header, "endian")?.to_ascii_lowercase().as_str() {
+                "little" => cfg!(target_endian = "big"),
+                "big" => cfg!(target_endian = "little"),
+                other => {
                     return Err(fail(format!(
                         "has the byte order \"{other}\"; it must be little or big"
                     )));
                 }
-                Err(e) if encoding != Encoding::Text => return Err(e),
-                Err(_) => false,
             };
-        let number = |names: [&str; 2]| {
-            let text = get(names[0]).or(get(names[1]));
-            text.map_or(Ok(0i64), |t| t.trim().parse())
-                .map_err(|_| fail(format!("has a {} that is not a number", names[0])))
+        let number = |name: &str| {
+            let text = header.get(name);
+            text.map_or(Ok(0i64), str::parse)
+                .map_err(|_| fail(format!("has a {name} that is not a number")))
         };
-        let (line_skip, byte_skip) = (
-            number(["line skip", "lineskip"])?,
-            number(["byte skip", "byteskip"])?,
-        );
-        if line_skip < 0 || byte_skip < -1 {
-            return Err(fail(
-                "skips a negative number of lines or bytes; its header is damaged".into(),
-            ));
-        }
+        let (line_skip, byte_skip) = (number("line skip")?, number("byte skip")?);
+        let byte_skip = match byte_skip {
+            n if n >= 0 => ByteSkip::Before(n.unsigned_abs()),
+            n if !matches!(encoding, Encoding::Text | Encoding::Hex) => {
+                ByteSkip::AfterValues(n.unsigned_abs() - 1)
+            }
+            n => {
+                return Err(fail(format!(
+                    "has a byte skip of {n}, which is not allowed for values written as text or hex; state the bytes before them"
+                )));
+            }
+        };
         Ok(Self {
             path,
             scalar,
             swap,
             encoding,
-            line_skip: line_skip as u64,
+            line_skip: u64::try_from(line_skip)
+                .map_err(|_| fail(format!("skips {line_skip} lines; a line skip is at least 0")))?,
             byte_skip,
-            whole,
             watch,
         })
     }
 
-    /// Reads `[ahead, count]`: skips values and reads values, from the reader's position.
+    /// Reads `[ahead, count]`: skips values and reads values, from the reader's position. `whole`
+    /// is the number of values in the file.
     pub fn read(
         &self,
         path: &Path,
         mut reader: BufReader<File>,
         file_bytes: u64,
         [ahead, count]: [usize; 2],
-        more: bool,
+        whole: usize,
     ) -> Result<StoredValues> {
         let size = self.scalar.bytes() as u64;
         let (before, bytes) = (ahead as u64 * size, count as u64 * size);
         skip_lines(path, &mut reader, self.line_skip)?;
-        let byte_skip = self.byte_skip.max(0) as u64;
         match self.encoding {
             Encoding::Raw => {
                 check_held(path, before.saturating_add(bytes), file_bytes)?;
-                if self.byte_skip < 0 {
-                    // Located at the file's end.
-                    let all = self.whole as u64 * size;
-                    check_held(path, all, file_bytes)?;
-                    reader
-                        .seek(SeekFrom::End(-(all as i64)))
-                        .map_err(|e| read_error(path, e))?;
-                }
-                skip(path, &mut reader, byte_skip.saturating_add(before))?;
+                let skipped = match self.byte_skip {
+                    ByteSkip::Before(n) => n,
+                    ByteSkip::AfterValues(after) => {
+                        let start = file_bytes.checked_sub(self.bytes_to_end(whole, after));
+                        let start = start.ok_or_else(|| shorter_than_skip(path, file_bytes))?;
+                        reader
+                            .seek(SeekFrom::Start(start))
+                            .map_err(|e| read_error(path, e))?;
+                        0
+                    }
+                };
+                skip(path, &mut reader, skipped.saturating_add(before))?;
                 self.source(path, reader, count).read_as(self.scalar)
             }
             Encoding::Gzip | Encoding::Bzip2 => {
@@ -142,21 +148,21 @@ impl<'a> Data<'a> {
                     before.saturating_add(bytes),
                     file_bytes.saturating_mul(limit),
                 )?;
-                let mut decoder: Box<dyn Read + Send> = if self.encoding == Encoding::Gzip {
-                    Box::new(MultiGzDecoder::new(reader))
-                } else {
-                    Box::new(MultiBzDecoder::new(reader))
+                let skipped = match self.byte_skip {
+                    ByteSkip::Before(n) => n,
+                    ByteSkip::AfterValues(after) => self.unpacked_start(path, &mut reader, whole, after)?,
                 };
-                skip(path, &mut decoder, byte_skip.saturating_add(before))?;
+                let mut decoder = self.unpacked(reader);
+                skip(path, &mut decoder, skipped.saturating_add(before))?;
                 let mut source = self.source(path, decoder, count);
                 let voxels = source.read_as(self.scalar)?;
-                if !more {
+                if ahead + count == whole {
                     check_end(path, source.reader)?;
                 }
                 Ok(voxels)
             }
             Encoding::Text => {
-                skip(path, &mut reader, byte_skip)?;
+                self.skip_bytes(path, &mut reader)?;
                 // A value and its separator take at least two bytes.
                 check_held(
                     path,
@@ -166,55 +172,114 @@ impl<'a> Data<'a> {
                 text::values(path, reader, [ahead, count], self.scalar, self.watch)
             }
             Encoding::Hex => {
-                skip(path, &mut reader, byte_skip)?;
+                self.skip_bytes(path, &mut reader)?;
                 check_held(path, before.saturating_add(bytes).saturating_mul(2), file_bytes)?;
-                let mut hex = Hex { reader };
-                skip(path, &mut hex, before)?;
-                self.source(path, hex, count).read_as(self.scalar)
+                let mut hex = Hex { reader, stray: None };
+                let values = skip(path, &mut hex, before)
+                    .and_then(|()| self.source(path, &mut hex, count).read_as(self.scalar));
+                match hex.stray {
+                    Some(byte) => Err(Error::file(
+                        path,
+                        format!(
+                            "has \"{}\" among its values, which is no hexadecimal digit; it is damaged",
+                            char::from(byte).escape_default()
+                        ),
+                    )),
+                    None => values,
+                }
             }
         }
     }
 
-    /// Reads values divided evenly among many files.
+    /// Reads values divided evenly among many files, each with its own skips.
     pub fn read_pieces(
         &self,
-        files: Vec<PathBuf>,
+        files: &[PathBuf],
         total: usize,
         [ahead, count]: [usize; 2],
     ) -> Result<StoredValues> {
-        let fail = |problem: String| Error::file(self.path, problem);
-        if !total.is_multiple_of(files.len()) {
-            return Err(fail(format!(
-                "names {} data files, which cannot hold equal parts of its {total} values",
-                files.len()
-            )));
+        let piece = total / files.len();
+        if piece * files.len() != total {
+            return Err(Error::file(
+                self.path,
+                format!(
+                    "names {} data files, which cannot hold equal parts of its {total} values",
+                    files.len()
+                ),
+            ));
         }
-        if self.line_skip > 0 || self.byte_skip > 0 || matches!(self.encoding, Encoding::Text | Encoding::Hex)
-        {
-            return Err(fail("has several data files that are not raw, gzip or bzip2 from their first byte on; join them into one".into()));
+        let mut all: Option<StoredValues> = None;
+        for (n, file) in files.iter().enumerate() {
+            // The part of the wanted values that this file holds.
+            let first = ahead.max(n * piece);
+            let end = (ahead + count).min((n + 1) * piece);
+            if first >= end {
+                continue;
+            }
+            let (reader, file_bytes) = buffered(file)?;
+            let values = self.read(file, reader, file_bytes, [first - n * piece, end - first], piece)?;
+            match &mut all {
+                None => all = Some(values),
+                Some(all) => {
+                    all.append(&values);
+                }
+            }
+            self.watch.check()?;
         }
-        let size = self.scalar.bytes() as u64;
-        let piece = (total / files.len()) as u64 * size;
-        let mut most = 0u64;
-        for file in &files {
-            most = most.saturating_add(open_file(file)?.1);
+        all.ok_or_else(|| Error::file(self.path, "names no data file with the values to read"))
+    }
+
+    /// Bytes from the first of `whole` values to the end, `after` bytes behind the last one.
+    fn bytes_to_end(&self, whole: usize, after: u64) -> u64 {
+        (whole as u64)
+            .saturating_mul(self.scalar.bytes() as u64)
+            .saturating_add(after)
+    }
+
+    /// Skips bytes before values that are not compressed.
+    fn skip_bytes(&self, path: &Path, reader: &mut BufReader<File>) -> Result<()> {
+        match self.byte_skip {
+            ByteSkip::Before(n) => skip(path, reader, n),
+            ByteSkip::AfterValues(_) => Ok(()),
         }
-        let (open, limit): (OpenPiece, u64) = match (self.encoding, self.byte_skip) {
-            (Encoding::Gzip, _) => (
-                |p, _| Ok(Box::new(MultiGzDecoder::new(buffered(p)?.0))),
-                DEFLATE_LIMIT,
-            ),
-            (Encoding::Bzip2, _) => (
-                |p, _| Ok(Box::new(MultiBzDecoder::new(buffered(p)?.0))),
-                BZIP2_LIMIT,
-            ),
-            (_, -1) => (last_bytes, 1),
-            _ => (|p, _| Ok(Box::new(buffered(p)?.0)), 1),
-        };
-        check_held(self.path, total as u64 * size, most.saturating_mul(limit))?;
-        let mut chain = ConcatenatedFiles::new(files, piece, open);
-        skip(self.path, &mut chain, ahead as u64 * size)?;
-        self.source(self.path, chain, count).read_as(self.scalar)
+    }
+
+    /// The stream that the rest of a file unpacks to.
+    fn unpacked<'r>(&self, reader: impl BufRead + Send + 'r) -> Box<dyn Read + Send + 'r> {
+        if self.encoding == Encoding::Gzip {
+            Box::new(MultiGzDecoder::new(reader))
+        } else {
+            Box::new(MultiBzDecoder::new(reader))
+        }
+    }
+
+    /// Offset of the values in the unpacked stream where they are located from its end. The stream
+    /// is unpacked once to count its bytes; the reader returns to its position.
+    fn unpacked_start(
+        &self,
+        path: &Path,
+        reader: &mut BufReader<File>,
+        whole: usize,
+        after: u64,
+    ) -> Result<u64> {
+        let failed = |e| read_error(path, e);
+        let position = reader.stream_position().map_err(failed)?;
+        let mut decoder = self.unpacked(&mut *reader);
+        let mut length = 0u64;
+        loop {
+            let read = std::io::copy(&mut decoder.by_ref().take(COUNTED_AT_ONCE), &mut std::io::sink());
+            let read = read.map_err(failed)?;
+            if read == 0 {
+                break;
+            }
+            length += read;
+            self.watch.check()?;
+        }
+        drop(decoder);
+        reader.seek(SeekFrom::Start(position)).map_err(failed)?;
+        length
+            .checked_sub(self.bytes_to_end(whole, after))
+            .ok_or_else(|| shorter_than_skip(path, length))
     }
 
     fn source<'b, R: Read>(&'b self, path: &'b Path, reader: R, count: usize) -> ValueReader<'b, R> {
@@ -228,14 +293,14 @@ impl<'a> Data<'a> {
     }
 }
 
-/// The last `bytes` of a file.
-pub(in crate::volume::load) fn last_bytes(path: &Path, bytes: u64) -> Result<Box<dyn Read + Send>> {
-    let (mut reader, length) = buffered(path)?;
-    check_held(path, bytes, length)?;
-    reader
-        .seek(SeekFrom::Start(length - bytes))
-        .map_err(|e| read_error(path, e))?;
-    Ok(Box::new(reader))
+/// The error for values that lie at the end of too few bytes.
+fn shorter_than_skip(path: &Path, bytes: u64) -> Error {
+    Error::file(
+        path,
+        format!(
+            "declares more values than the {bytes} bytes that it holds: it is truncated or its header is damaged; copy or download it again"
+        ),
+    )
 }
 
 /// Skips whole lines.
@@ -251,28 +316,35 @@ fn skip_lines(path: &Path, reader: &mut impl BufRead, lines: u64) -> Result<()> 
 /// Bytes written as two hexadecimal digits each; white space is ignored.
 struct Hex<R> {
     reader: BufReader<R>,
+    /// The first byte that is neither a digit nor white space.
+    stray: Option<u8>,
+}
+
+impl<R: Read> Hex<R> {
+    fn digit(&mut self) -> std::io::Result<Option<u8>> {
+        loop {
+            let Some(&byte) = self.reader.fill_buf()?.first() else {
+                return Ok(None);
+            };
+            self.reader.consume(1);
+            if byte.is_ascii_whitespace() {
+                continue;
+            }
+            let Some(digit) = char::from(byte).to_digit(16) else {
+                self.stray = Some(byte);
+                return Err(std::io::ErrorKind::InvalidData.into());
+            };
+            return Ok(Some(digit as u8));
+        }
+    }
 }
 
 impl<R: Read> Read for Hex<R> {
     fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
-        let mut digit = || -> std::io::Result<Option<u8>> {
-            loop {
-                let Some(&byte) = self.reader.fill_buf()?.first() else {
-                    return Ok(None);
-                };
-                self.reader.consume(1);
-                if !byte.is_ascii_whitespace() {
-                    let digit = char::from(byte).to_digit(16).ok_or_else(|| {
-                        std::io::Error::new(std::io::ErrorKind::InvalidData, "no hex digit")
-                    })?;
-                    return Ok(Some(digit as u8));
-                }
-            }
-        };
         let mut done = 0;
         while done < bytes.len() {
-            let Some(high) = digit()? else { break };
-            let low = digit()?.ok_or(std::io::ErrorKind::UnexpectedEof)?;
+            let Some(high) = self.digit()? else { break };
+            let low = self.digit()?.ok_or(std::io::ErrorKind::UnexpectedEof)?;
             bytes[done] = high << 4 | low;
             done += 1;
         }
