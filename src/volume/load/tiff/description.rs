@@ -1,13 +1,42 @@
-//! What a TIFF says of itself: OME-XML, or ImageJ's description.
+//! What a TIFF says of itself beyond its pages: OME-XML, ImageJ's description, tifffile's shape,
+//! Zeiss' LSM and MetaMorph's STK.
+//!
+//! Source: OME-TIFF specification 6; ImageJ's `TiffEncoder` and `TiffDecoder` (`images=`, `slices=`,
+//! `spacing=`, `unit=`, in Java's `\u` escapes); the JSON of tifffile (`shape`, `axes`);
+//! CZ_LSMINFO; UIC2Tag.
+//!
+//! The resolution of a plain TIFF is that of printing, or that of a camera's plane, and says nothing
+//! of the distance of slices. It is quoted in a notice and not used.
 
 use super::super::image::{Channel, Meaning};
-use super::pages::TiffDecoder;
-use quick_xml::events::Event;
-use tiff::tags::Tag;
+use super::directory::{Directory, TiffFile, tag};
+use super::ome::{self, PlaneBlock};
+use super::page::PageFormat;
+use crate::Result;
+use crate::files::input;
+use crate::files::reference::sibling_file;
+use serde_json::Value;
+
+/// Maximum size of a file of OME-XML, bytes.
+const MAX_XML_BYTES: u64 = 256 << 20;
+
+/// Where a description comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum DescriptionKind {
+    #[default]
+    Plain,
+    Ome,
+    ImageJ,
+    /// tifffile's JSON.
+    Shaped,
+    Lsm,
+    Stk,
+}
 
 /// A description of the pages.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Description {
+    pub kind: DescriptionKind,
     /// Slices, channels, times.
     pub extents: Option<[usize; 3]>,
     /// Which of slices (0), channels (1) and times (2) varies fastest, then next.
@@ -15,117 +44,207 @@ pub(super) struct Description {
     /// mm, along x, y, z.
     pub spacing: [Option<f64>; 3],
     pub colors: Vec<Option<[u8; 3]>>,
-    pub imagej: bool,
-    pub has_unit: bool,
-    pub ome: bool,
-}
-
-/// The description in the first page, which applies to all.
-pub(super) fn described(pages: &mut TiffDecoder, file_bytes: u64) -> Description {
-    // The decoder writes to the terminal if a description is longer than the file.
-    let described = pages
-        .image_ifd()
-        .find_entry(Tag::ImageDescription)
-        .is_some_and(|e| e.count() <= file_bytes);
-    let text = described
-        .then(|| pages.find_tag(Tag::ImageDescription))
-        .and_then(Result::ok)
-        .flatten()
-        .and_then(|v| v.into_string().ok())
-        .unwrap_or_default();
-    let mut metadata = if text.contains("<OME") {
-        ome(&text)
-    } else {
-        imagej(&text)
-    };
-    let resolution = |pages: &mut TiffDecoder, tag| -> Option<f64> {
-        let per_unit = match pages.find_tag(tag).ok()?? {
-            tiff::decoder::ifd::Value::Rational(a, b) => f64::from(a) / f64::from(b),
-            other => f64::from(other.into_f32().ok()?),
-        };
-        (per_unit.is_finite() && per_unit > 0.0).then(|| 1.0 / per_unit)
-    };
-    if metadata.imagej {
-        let unit = unit_of_imagej(&text);
-        metadata.has_unit = unit.is_some();
-        let mm = unit.unwrap_or(1.0);
-        // In the unit given by the description; the tag's own unit is "none".
-        metadata.spacing[0] = resolution(pages, Tag::XResolution).map(|s| s * mm);
-        metadata.spacing[1] = resolution(pages, Tag::YResolution).map(|s| s * mm);
-        metadata.spacing[2] = metadata.spacing[2].map(|s| s * mm);
-    }
-    metadata
+    /// UUID of the file, and the places of its planes; empty if they are in order.
+    pub uuid: Option<String>,
+    pub planes: Vec<PlaneBlock>,
+    pub notices: Vec<String>,
+    /// The resolution that is not used, as a sentence.
+    pub unused_resolution: Option<String>,
 }
 
 impl Description {
+    pub fn new(kind: DescriptionKind) -> Self {
+        Self {
+            kind,
+            order: [0, 1, 2],
+            ..Self::default()
+        }
+    }
+
+    /// The description in the first page, which applies to all.
+    pub fn of(file: &mut TiffFile, directories: &[Directory]) -> Result<Self> {
+        let Some(first) = directories.first() else {
+            return Ok(Self::default());
+        };
+        let text = file.text(first, tag::DESCRIPTION)?;
+        Ok(if text.contains("<OME") {
+            of_ome(file, &text)?
+        } else if text.starts_with("ImageJ=") {
+            of_imagej(file, first, &text)?
+        } else if first.has(tag::LSM) {
+            of_lsm(file, first)?
+        } else if first.has(tag::STK_PLANES) {
+            let mut metadata = Self::new(DescriptionKind::Stk);
+            metadata.extents = Some([first.count(tag::STK_PLANES) as usize, 1, 1]);
+            metadata
+        } else {
+            let mut metadata = match shape_of(&text) {
+                Some((shape, axes)) => of_shape(file, first, &shape, axes.as_deref())?,
+                None => Self::new(DescriptionKind::Plain),
+            };
+            metadata.unused_resolution = unused_resolution(file, first)?;
+            metadata
+        })
+    }
+
     /// Slices, channels and times of `total` pages: the declared ones if they fit, else slices
     /// only.
-    pub fn extents_of(&self, total: usize, warnings: &mut Vec<String>) -> [usize; 3] {
-        match self.extents {
-            Some(e)
-                if e.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) == Some(total)
-                    || (self.imagej && total == 1) =>
-            {
-                e
-            }
-            Some(e) => {
-                warnings.push(format!(
-                    "contains {total} pages, not the {} x {} x {} it declares; they are read as slices",
-                    e[0], e[1], e[2]
-                ));
-                [total, 1, 1]
-            }
-            None => [total, 1, 1],
+    pub fn extents_of(&mut self, total: usize) -> [usize; 3] {
+        let Some(e) = self.extents else {
+            return [total, 1, 1];
+        };
+        let declared = e.iter().try_fold(1usize, |n, &d| n.checked_mul(d));
+        let is_placed = self.planes.iter().any(|b| b.count.is_some() || b.file.is_some());
+        if declared == Some(total) || total == 1 && self.may_be_contiguous() || is_placed {
+            return e;
         }
+        if self.kind != DescriptionKind::Shaped {
+            self.notices.push(format!(
+                "contains {total} pages, not the {} x {} x {} it declares; they are read as slices",
+                e[0], e[1], e[2]
+            ));
+        }
+        self.planes.clear();
+        [total, 1, 1]
+    }
+
+    /// Whether a single directory may be followed by the pixels of further planes.
+    pub fn may_be_contiguous(&self) -> bool {
+        matches!(
+            self.kind,
+            DescriptionKind::ImageJ | DescriptionKind::Shaped | DescriptionKind::Stk
+        )
     }
 
     /// Name of the format.
     pub fn format(&self) -> &'static str {
-        if self.ome {
-            "OME-TIFF"
-        } else if self.imagej {
-            "ImageJ TIFF"
-        } else {
-            "TIFF"
+        match self.kind {
+            DescriptionKind::Ome => "OME-TIFF",
+            DescriptionKind::ImageJ => "ImageJ TIFF",
+            DescriptionKind::Lsm => "LSM",
+            DescriptionKind::Stk => "MetaMorph STK",
+            DescriptionKind::Plain | DescriptionKind::Shaped => "TIFF",
         }
     }
 
     /// The meaning of the values with these channels and components.
-    pub fn meaning(&self, channels: usize, components: usize) -> Meaning {
-        if channels > 1 {
-            let color = |c: usize| {
-                self.colors
-                    .get(c)
-                    .copied()
-                    .flatten()
-                    .unwrap_or(super::super::super::colors::CHANNELS[c % 4])
-            };
-            Meaning::Channels(
-                (0..channels)
-                    .map(|c| Channel {
-                        color: color(c),
-                        window: None,
-                    })
-                    .collect(),
-            )
-        } else if components > 2 {
-            Meaning::Color
-        } else {
-            Meaning::Unstated
+    pub fn meaning(&self, channels: usize, components: usize, is_color: bool) -> Meaning {
+        if is_color && channels == 1 {
+            return Meaning::Color;
         }
+        if components == 1 {
+            return Meaning::Unstated;
+        }
+        let color = |c: usize| {
+            let stated = self.colors.get(c).copied().flatten();
+            stated.unwrap_or(super::super::super::colors::CHANNELS[c % 4])
+        };
+        Meaning::Channels(
+            (0..components)
+                .map(|c| Channel {
+                    color: color(c),
+                    window: None,
+                })
+                .collect(),
+        )
     }
 }
 
-/// ImageJ's description: `name=value` lines.
-fn imagej(text: &str) -> Description {
-    let mut metadata = Description {
-        order: [1, 0, 2],
-        ..Description::default()
+/// OME-XML, in the file or in the one that it names.
+fn of_ome(file: &TiffFile, text: &str) -> Result<Description> {
+    let Some(name) = ome::companion(text) else {
+        return Ok(ome::parse(text));
     };
-    if !text.starts_with("ImageJ=") {
-        return metadata;
+    let path = sibling_file(&file.path, &name)?;
+    if path.is_file() {
+        return Ok(ome::parse(&input::text(&path, MAX_XML_BYTES, "OME-XML")?));
     }
-    metadata.imagej = true;
+    let mut metadata = Description::new(DescriptionKind::Ome);
+    metadata.notices.push(format!(
+        "has its description in {name}, which is missing; its pages are read as slices"
+    ));
+    Ok(metadata)
+}
+
+/// Pixels per unit, as the length of a pixel.
+fn pixel_length(file: &mut TiffFile, directory: &Directory, tag: u16) -> Result<Option<f64>> {
+    let per_unit = file.reals(directory, tag)?.and_then(|v| v.first().copied());
+    Ok(per_unit.filter(|n| n.is_finite() && *n > 0.0).map(|n| 1.0 / n))
+}
+
+/// The resolution of a plain file.
+fn unused_resolution(file: &mut TiffFile, directory: &Directory) -> Result<Option<String>> {
+    let (unit, mm) = match file.integer(directory, tag::RESOLUTION_UNIT)? {
+        // An inch unless it is stated.
+        None | Some(2) => ("inch", 25.4),
+        Some(3) => ("centimetre", 10.0),
+        _ => return Ok(None),
+    };
+    let (x, y) = (
+        pixel_length(file, directory, tag::X_RESOLUTION)?,
+        pixel_length(file, directory, tag::Y_RESOLUTION)?,
+    );
+    Ok(x.zip(y).filter(|(x, y)| *x != 1.0 && *y != 1.0).map(|(x, y)| {
+        format!(
+            "states {:.6} x {:.6} pixels per {unit} (pixels of {:.6} x {:.6} mm), which does not give the distance of slices and is not used",
+            1.0 / x,
+            1.0 / y,
+            x * mm,
+            y * mm
+        )
+    }))
+}
+
+/// ImageJ's description: `name=value` lines.
+fn of_imagej(file: &mut TiffFile, directory: &Directory, text: &str) -> Result<Description> {
+    let (mut metadata, units) = imagej(text);
+    let mut units = units.map(|u| u.map(|u| unescaped(&u)));
+    // As in ImageJ, the unit of the tag is used if the description has none; 72 per inch is the
+    // resolution of a screen.
+    let [x, y] = [tag::X_RESOLUTION, tag::Y_RESOLUTION];
+    let (x, y) = (
+        pixel_length(file, directory, x)?,
+        pixel_length(file, directory, y)?,
+    );
+    if units[0].is_none() {
+        units[0] = match file.integer(directory, tag::RESOLUTION_UNIT)? {
+            Some(2) if x.is_none_or(|x| (x - 1.0 / 72.0).abs() > 1e-6) => Some("inch".into()),
+            Some(3) => Some("cm".into()),
+            _ => None,
+        };
+    }
+    let lengths = [x, y, metadata.spacing[2]];
+    let is_length = |unit: &String| mm_of(unit).is_some();
+    if units[0].as_ref().is_some_and(is_length) {
+        let is_stack = metadata.extents.is_some_and(|e| e[0] > 1);
+        if lengths[2].is_none() && is_stack {
+            // ImageJ does not write a distance of 1.
+            let unit = units[2].as_ref().or(units[0].as_ref()).map_or("", String::as_str);
+            metadata.notices.push(format!(
+                "does not state the distance of its slices; as in ImageJ, it is 1 {unit}"
+            ));
+            metadata.spacing[2] = mm_of(unit);
+        }
+    } else if lengths.iter().any(Option::is_some) {
+        metadata.notices.push(match units[0].as_deref() {
+            None | Some("") => "states its spacing without a unit; mm is assumed".into(),
+            Some(unit) => format!("states its spacing in \"{unit}\", which is no length; mm is assumed"),
+        });
+    }
+    for axis in 0..3 {
+        let unit = units[axis].as_ref().or(units[0].as_ref());
+        let mm = unit.and_then(|u| mm_of(u)).unwrap_or(1.0);
+        if let Some(length) = lengths[axis] {
+            metadata.spacing[axis] = Some(length * mm);
+        }
+    }
+    Ok(metadata)
+}
+
+/// Sizes and distance of slices (in its unit) of ImageJ's description, and the units of x, y, z.
+fn imagej(text: &str) -> (Description, [Option<String>; 3]) {
+    let mut metadata = Description::new(DescriptionKind::ImageJ);
+    metadata.order = [1, 0, 2];
     let get = |name: &str| {
         text.lines()
             .find_map(|l| l.strip_prefix(name)?.strip_prefix('=').map(str::trim))
@@ -139,101 +258,168 @@ fn imagej(text: &str) -> Description {
             .filter(|n| *n > 0)
     });
     metadata.extents = slices.map(|s| [s, channels, times]);
-    metadata.spacing[2] = get("spacing").and_then(|v| v.parse().ok()).map(f64::abs);
-    metadata
+    metadata.spacing[2] = get("spacing")
+        .and_then(|v| v.parse().ok())
+        .map(f64::abs)
+        .filter(|v| *v > 0.0);
+    let units = ["unit", "yunit", "zunit"].map(|name| get(name).map(str::to_owned));
+    (metadata, units)
 }
 
-/// Millimetres per unit of ImageJ's description; none for pixels.
-fn unit_of_imagej(text: &str) -> Option<f64> {
-    let unit = text
-        .lines()
-        .find_map(|l| l.strip_prefix("unit="))
-        .map(str::trim)
-        .unwrap_or("");
-    mm_of(if unit == "\\u00B5m" { "um" } else { unit })
+/// Text without Java's escapes of characters.
+fn unescaped(text: &str) -> String {
+    let mut parts = text.split("\\u");
+    let mut plain = parts.next().unwrap_or("").to_owned();
+    for part in parts {
+        let code = part
+            .get(..4)
+            .and_then(|hex| u32::from_str_radix(hex, 16).ok())
+            .and_then(char::from_u32);
+        match code {
+            Some(character) => {
+                plain.push(character);
+                plain.push_str(&part[4..]);
+            }
+            None => plain.push_str(part),
+        }
+    }
+    plain
 }
 
 /// Millimetres per unit of length.
 pub(in crate::volume::load) fn mm_of(unit: &str) -> Option<f64> {
-    Some(match unit.to_lowercase().as_str() {
+    Some(match unit.trim().to_lowercase().as_str() {
+        "km" | "kilometer" | "kilometre" => 1e6,
         "m" | "meter" | "metre" => 1000.0,
+        "dm" | "decimeter" | "decimetre" => 100.0,
         "cm" | "centimeter" | "centimetre" => 10.0,
-        "mm" | "millimeter" | "millimetre" => 1.0,
-        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometre" => 1e-3,
-        "nm" | "nanometer" | "nanometre" => 1e-6,
+        "mm" | "millimeter" | "millimetre" | "millimeters" | "millimetres" => 1.0,
+        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometre" | "micrometers"
+        | "micrometres" => 1e-3,
+        "nm" | "nanometer" | "nanometre" | "nanometers" | "nanometres" => 1e-6,
         "angstrom" | "å" => 1e-7,
+        "pm" | "picometer" | "picometre" => 1e-9,
         "inch" | "in" => 25.4,
+        "foot" | "ft" => 304.8,
+        "yard" | "yd" => 914.4,
         _ => return None,
     })
 }
 
-/// The first image of OME-XML.
-fn ome(text: &str) -> Description {
-    let mut metadata = Description {
-        ome: true,
-        ..Description::default()
-    };
-    let mut xml = quick_xml::Reader::from_str(text.trim_end_matches('\0'));
-    xml.config_mut().check_end_names = false;
-    let mut seen = false;
-    loop {
-        let event = match xml.read_event() {
-            Ok(Event::Start(tag) | Event::Empty(tag)) => tag,
-            Ok(Event::End(tag)) if tag.local_name().as_ref() == "Pixels" => break,
-            Ok(Event::Eof) | Err(_) => break,
-            Ok(_) => continue,
-        };
-        let get = |name: &str| {
-            event
-                .attributes()
-                .flatten()
-                .find(|a| a.key.as_ref() == name)
-                .map(|a| a.value.into_owned())
-        };
-        match event.local_name().as_ref() {
-            "Pixels" if !seen => {
-                seen = true;
-                let extent = |name: &str| get(name).and_then(|v| v.parse::<usize>().ok()).filter(|n| *n > 0);
-                metadata.extents = extent("SizeZ")
-                    .zip(extent("SizeC"))
-                    .zip(extent("SizeT"))
-                    .map(|((z, c), t)| [z, c, t]);
-                let order = get("DimensionOrder").unwrap_or_else(|| "XYZCT".into());
-                let axes: Vec<usize> = order.chars().filter_map(|c| "ZCT".find(c)).collect();
-                metadata.order = axes
-                    .try_into()
-                    .ok()
-                    .filter(|[a, b, c]: &[usize; 3]| a != b && b != c && a != c)
-                    .unwrap_or([0, 1, 2]);
-                for (n, axis) in ["X", "Y", "Z"].into_iter().enumerate() {
-                    let unit = get(&format!("PhysicalSize{axis}Unit")).map_or(Some(1e-3), |u| mm_of(&u));
-                    metadata.spacing[n] = get(&format!("PhysicalSize{axis}"))
-                        .and_then(|v| v.parse::<f64>().ok())
-                        .zip(unit)
-                        .map(|(v, mm)| v * mm);
-                }
-            }
-            "Channel" => {
-                // Red, green, blue, alpha as one signed number.
-                let color = get("Color")
-                    .and_then(|v| v.parse::<i32>().ok())
-                    .map(|v| v.to_be_bytes());
-                metadata
-                    .colors
-                    .push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
-                // A channel may have several samples, which are then stored together in a page.
-                if get("SamplesPerPixel")
-                    .and_then(|v| v.parse::<usize>().ok())
-                    .is_some_and(|n| n > 1)
-                    && let Some(extents) = &mut metadata.extents
-                {
-                    extents[1] = 1;
-                }
-            }
-            _ => {}
-        }
+/// Shape and names of axes in tifffile's description: JSON, or `shape=(3, 4, 5)` of older versions.
+fn shape_of(text: &str) -> Option<(Vec<usize>, Option<String>)> {
+    let whole = |n: &Value| n.as_u64().and_then(|n| usize::try_from(n).ok());
+    if let Some(list) = text.strip_prefix("shape=(") {
+        let numbers = list.split(')').next()?.split(',').map(str::trim);
+        let shape = numbers.filter(|w| !w.is_empty()).map(|w| w.parse().ok());
+        return Some((shape.collect::<Option<_>>()?, None));
     }
-    metadata
+    if !text.starts_with('{') {
+        return None;
+    }
+    let json: Value = serde_json::from_str(text).ok()?;
+    let shape = json["shape"]
+        .as_array()?
+        .iter()
+        .map(whole)
+        .collect::<Option<_>>()?;
+    Some((shape, json["axes"].as_str().map(str::to_owned)))
+}
+
+/// The extents of an array that tifffile has written.
+fn of_shape(
+    file: &mut TiffFile,
+    directory: &Directory,
+    shape: &[usize],
+    axes: Option<&str>,
+) -> Result<Description> {
+    let mut metadata = Description::new(DescriptionKind::Shaped);
+    let format = PageFormat::of(file, directory)?;
+    let [width, height] = format.size;
+    let samples = format.samples;
+    let tails: [&[usize]; 4] = [
+        &[height, width, samples],
+        &[samples, height, width],
+        &[height, width],
+        &[width],
+    ];
+    let Some(tail) = tails
+        .iter()
+        .find(|t| shape.ends_with(t) && (samples == 1 || t.len() == 3))
+    else {
+        return Ok(metadata);
+    };
+    let leading = &shape[..shape.len() - tail.len()];
+    let names: Vec<char> = match axes.filter(|a| a.chars().count() == shape.len()) {
+        Some(names) => names.chars().take(leading.len()).collect(),
+        None => Vec::new(),
+    };
+    let long: Vec<(usize, Option<char>)> = leading
+        .iter()
+        .enumerate()
+        .filter(|(_, n)| **n != 1)
+        .map(|(a, n)| (*n, names.get(a).copied()))
+        .collect();
+    // Slowest first; without names, times and slices.
+    let Some(places) = axis_places(&long) else {
+        metadata.notices.push(format!(
+            "is an array of {} whose axes are not all known; its pages are read as slices",
+            shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ")
+        ));
+        return Ok(metadata);
+    };
+    let mut extents = [1; 3];
+    let mut order: Vec<usize> = Vec::new();
+    for ((n, _), place) in long.iter().zip(&places).rev() {
+        extents[*place] = *n;
+        order.push(*place);
+    }
+    order.extend((0..3).filter(|p| !places.contains(p)));
+    metadata.order = order.try_into().unwrap_or([0, 1, 2]);
+    metadata.extents = Some(extents);
+    Ok(metadata)
+}
+
+/// Which of slices, channels and times each axis is; none if that is not clear.
+fn axis_places(axes: &[(usize, Option<char>)]) -> Option<Vec<usize>> {
+    if axes.iter().all(|(_, name)| name.is_none()) {
+        return match axes.len() {
+            0 => Some(vec![]),
+            1 => Some(vec![0]),
+            2 => Some(vec![2, 0]),
+            _ => None,
+        };
+    }
+    let mut places = Vec::new();
+    for (_, name) in axes {
+        let place = match name {
+            Some('Z' | 'I' | 'Q') => 0,
+            Some('C') => 1,
+            Some('T') => 2,
+            _ => return None,
+        };
+        if places.contains(&place) {
+            return None;
+        }
+        places.push(place);
+    }
+    Some(places)
+}
+
+/// Zeiss LSM: sizes as 32-bit and lengths in metres as 64-bit numbers.
+fn of_lsm(file: &mut TiffFile, directory: &Directory) -> Result<Description> {
+    let mut metadata = Description::new(DescriptionKind::Lsm);
+    let bytes = file.bytes_of_tag(directory, tag::LSM)?.unwrap_or_default();
+    let number =
+        |file: &TiffFile, at: usize, length: usize| bytes.get(at..at + length).map(|b| file.number_in(b));
+    let extent = |file: &TiffFile, at| number(file, at, 4).map(|n| (n as usize).max(1));
+    if let (Some(slices), Some(times)) = (extent(file, 16), extent(file, 24)) {
+        metadata.extents = Some([slices, 1, times]);
+    }
+    for axis in 0..3 {
+        metadata.spacing[axis] = number(file, 40 + 8 * axis, 8).map(|bits| f64::from_bits(bits) * 1000.0);
+    }
+    Ok(metadata)
 }
 
 #[cfg(test)]
@@ -241,20 +427,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn descriptions() {
-        let metadata =
+    fn descriptions_of_imagej() {
+        let (metadata, units) =
             imagej("ImageJ=1.53t\nimages=12\nchannels=2\nslices=3\nframes=2\nunit=micron\nspacing=2.5\n");
         assert_eq!(
             (metadata.extents, metadata.spacing[2], metadata.order),
             (Some([3, 2, 2]), Some(2.5), [1, 0, 2])
         );
-        assert_eq!(unit_of_imagej("unit=\\u00B5m\n"), Some(1e-3));
-        let metadata = ome(
-            r#"<?xml version="1.0"?><OME xmlns="x"><Image><Pixels DimensionOrder="XYCZT" SizeX="4" SizeY="5" SizeZ="6" SizeC="2" SizeT="1"
-            PhysicalSizeX="0.5" PhysicalSizeY="0.5" PhysicalSizeZ="2" PhysicalSizeZUnit="mm"><Channel Color="-16776961"/><Channel/></Pixels></Image></OME>"#,
-        );
-        assert_eq!((metadata.extents, metadata.order), (Some([6, 2, 1]), [1, 0, 2]));
-        assert_eq!(metadata.spacing, [Some(0.0005), Some(0.0005), Some(2.0)]);
-        assert_eq!(metadata.colors, [Some([255, 0, 0]), None]);
+        assert_eq!(units[0].as_deref(), Some("micron"));
+        assert_eq!(mm_of(&unescaped("\\u00B5m")), Some(1e-3));
+        assert_eq!(mm_of("pixel"), None);
+    }
+
+    #[test]
+    fn shapes_of_tifffile() {
+        assert_eq!(shape_of(r#"{"shape": [2, 3, 4]}"#), Some((vec![2, 3, 4], None)));
+        assert_eq!(shape_of("shape=(2, 3, 4)"), Some((vec![2, 3, 4], None)));
+        assert_eq!(shape_of("a plain text"), None);
+        assert_eq!(axis_places(&[(3, Some('Z')), (2, Some('C'))]), Some(vec![0, 1]));
+        assert_eq!(axis_places(&[(3, None), (2, None)]), Some(vec![2, 0]));
+        assert_eq!(axis_places(&[(3, None), (2, None), (2, None)]), None);
     }
 }

@@ -1,23 +1,36 @@
-//! TIFF and BigTIFF: pages are slices, or slices, channels and times if OME-XML or ImageJ metadata
-//! declare them.
+//! TIFF and BigTIFF: pages are slices, or slices, channels and times if OME-XML, ImageJ, tifffile,
+//! Zeiss LSM or MetaMorph STK metadata declare them. An OME-TIFF of several files is read from any
+//! of them.
 //!
-//! Source: OME-TIFF specification 6 (PhysicalSize, DimensionOrder); ImageJ's own description
-//! (`images=`, `slices=`, `spacing=`, `unit=`). ImageJ files of more than 4 GiB have a single
-//! directory, followed by all slices.
+//! The reader is our own down to the strips: a scientific file has values, not colours to show, and
+//! the crate `tiff` turns WhiteIsZero round, refuses colour tables, and cannot read samples of 12
+//! bits or planes of their own. `page.rs` says what is done with values, `codec.rs` which
+//! compressions are read, `description.rs` where geometry comes from.
+//!
+//! Source: TIFF 6.0; OME-TIFF specification 6 (PhysicalSize, DimensionOrder, TiffData).
 
+mod codec;
+mod color;
 mod description;
+mod directory;
+mod fax;
+mod ome;
+mod page;
 mod pages;
+mod samples;
 
 pub(super) use description::mm_of;
-pub(super) use pages::first_page;
 
 use super::ReadOptions;
 use super::image::Image;
+use super::planes::StatedSlice;
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result, Watch};
-use description::described;
+use description::Description;
+use directory::TiffFile;
 use glam::{DAffine3, DVec3};
-use pages::{Dimensions, Pages, decoder};
+use page::PageFormat;
+use pages::{Dimensions, Pages};
 use serde_json::json;
 use std::path::Path;
 
@@ -27,13 +40,36 @@ pub fn is_tiff(path: &Path) -> bool {
         .is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"))
 }
 
-/// The spacing stated by a file, mm along x, y, z.
-pub(super) fn spacing(path: &Path) -> Option<[Option<f64>; 3]> {
+/// The only page of a file.
+pub(super) fn single_page(path: &Path) -> Result<StatedSlice> {
+    let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
     catch_panic(|| {
-        decoder(path)
-            .ok()
-            .map(|(mut pages, bytes)| described(&mut pages, bytes).spacing)
-    })?
+        let (mut file, directories) = TiffFile::open(path)?;
+        let slice = pages::single_page(&mut file, &directories)?;
+        let format = PageFormat::of(&mut file, &directories[0])?;
+        let metadata = Description::of(&mut file, &directories)?;
+        let mut notices = format.notices(&mut file, &directories[0])?;
+        notices.extend(metadata.unused_resolution);
+        Ok(StatedSlice {
+            slice,
+            is_color: format.is_color(),
+            is_inverted: format.photometric == page::Photometric::WhiteIsZero,
+            spacing: metadata.spacing,
+            notices,
+        })
+    })
+    .ok_or_else(ended)?
+}
+
+/// Whether a file is one of several that hold one image.
+pub(super) fn is_part_of_image(path: &Path) -> bool {
+    catch_panic(|| {
+        let (mut file, directories) = TiffFile::open(path).ok()?;
+        let metadata = Description::of(&mut file, &directories).ok()?;
+        Some(pages::spans_files(&metadata))
+    })
+    .flatten()
+    .unwrap_or(false)
 }
 
 /// Reads all pages.
@@ -42,46 +78,42 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     catch_panic(|| read_unguarded(path, choice, watch)).ok_or_else(ended)?
 }
 
-/// Reads all pages; [`read`] turns a panic of the decoder into an error.
+/// Reads all pages; [`read`] turns a panic of a decoder into an error.
 fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let (mut decoder, file_bytes) = decoder(path)?;
-    let metadata = described(&mut decoder, file_bytes);
-    let mut pages = Pages {
-        path,
-        decoder,
-        file_bytes,
-        watch,
-    };
-    let mut warnings = Vec::new();
-    if metadata.imagej && !metadata.has_unit && metadata.spacing.iter().any(Option::is_some) {
-        warnings.push("states its spacing without a unit; mm is assumed".into());
-    }
-    let total = pages.count()?;
-    let [slices, channels, times] = metadata.extents_of(total, &mut warnings);
+    let (mut file, directories) = TiffFile::open(path)?;
+    let mut metadata = Description::of(&mut file, &directories)?;
+    let slices = pages::slice_pages(&mut file, &directories, &mut metadata.notices)?;
+    let extents = metadata.extents_of(slices.len());
+    let [_, channels, times] = extents;
     let time = choice.time_of(times)?;
     if times > 1 && choice.time.is_none() {
-        warnings.push(format!(
+        metadata.notices.push(format!(
             "holds {times} volumes; the first is used (--time chooses another)"
         ));
     }
     let dimensions = Dimensions {
-        extents: [slices, channels, times],
+        extents,
         order: metadata.order,
-        time,
     };
-    let pixels = if total == 1 && slices * channels * times > 1 {
-        pages.read_contiguous(&dimensions)?
-    } else {
-        pages.read_each(&dimensions, &mut warnings)?
+    let planes = pages::planes_of(&mut file, &directories, &slices, &dimensions, &mut metadata)?;
+    let mut pages = Pages {
+        file,
+        directories,
+        other: None,
+        watch,
     };
+    let pixels = pages.read(&dimensions, &planes, time, &mut metadata)?;
     let spacing = metadata.spacing.map(|s| s.filter(|s| s.is_finite() && *s > 0.0));
+    let mut warnings = std::mem::take(&mut metadata.notices);
     if choice.spacing.is_none() && spacing.iter().any(Option::is_none) {
         warnings.push("does not state voxel spacing in every direction; 1 mm is assumed where it is missing (use --spacing to set it)".into());
+        warnings.extend(metadata.unused_resolution.take());
     }
     let world_from_voxel = DAffine3::from_scale(DVec3::from(spacing.map(|s| s.unwrap_or(1.0))));
     let mut image = Image::new(metadata.format(), pixels.voxels, pixels.size, world_from_voxel);
     (image.components, image.layout, image.warnings) = (pixels.components, pixels.layout, warnings);
-    image.meaning = metadata.meaning(channels, pixels.components);
+    image.meaning = metadata.meaning(channels, pixels.components, pixels.is_color);
+    image.inverted = pixels.is_inverted && image.components == 1;
     if times > 1 {
         image.details.push(("time_points", json!(times)));
     }

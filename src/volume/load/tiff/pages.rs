@@ -1,143 +1,51 @@
-//! The pages of a TIFF, as slices.
+//! The planes of an image: the page, or the file and the page, that holds each, and their values as
+//! one array.
 
 use super::super::image::Layout;
 use super::super::planes::{ImageSlice, ImageStack};
-use super::super::source::{ValueReader, check_held, count, open_file, skip};
-use super::super::{ScalarType, StoredValues};
-use crate::panic_guard::catch_panic;
+use super::super::source::{with_scalar, zeroed};
+use super::codec::Compression;
+use super::description::{Description, DescriptionKind};
+use super::directory::{Directory, MAX_PAGES, TiffFile, tag};
+use super::page::PageFormat;
+use crate::files::reference::sibling_file;
+use crate::volume::StoredValues;
 use crate::{ByteProgress, Error, Result, Watch};
-use ndarray::Ix3;
-use std::fs::File;
-use std::io::{BufReader, Seek, SeekFrom};
-use std::path::Path;
-use tiff::ColorType;
-use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::Tag;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 
-/// Maximum compression ratio of pages.
-const MAX_COMPRESSION_RATIO: u64 = 3000;
-/// Maximum number of pages in a file.
-const MAX_PAGES: usize = 1 << 20;
-
-pub(super) type TiffDecoder = Decoder<BufReader<File>>;
-
-fn damaged(path: &Path) -> impl Fn(tiff::TiffError) -> Error + '_ {
-    move |e| {
-        Error::file(
-            path,
-            format!("is not a readable TIFF ({e}); copy or export it again"),
-        )
-    }
+/// Where a plane is stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct PlacedPlane {
+    /// Another file that holds it.
+    file: Option<PathBuf>,
+    page: usize,
+    /// Bytes by which its pixels follow those that the page states.
+    shift: u64,
 }
 
-pub(super) fn decoder(path: &Path) -> Result<(TiffDecoder, u64)> {
-    let (file, bytes) = open_file(path)?;
-    let mut limits = Limits::default();
-    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(MAX_COMPRESSION_RATIO))
-        .unwrap_or(usize::MAX)
-        .min(1 << 36);
-    limits.intermediate_buffer_size = limits.decoding_buffer_size;
-    limits.ifd_value_size = usize::try_from(bytes).unwrap_or(usize::MAX).min(1 << 28);
-    let decoder = Decoder::new(BufReader::new(file))
-        .map_err(damaged(path))?
-        .with_limits(limits);
-    Ok((decoder, bytes))
-}
-
-/// The first page only.
-pub(in crate::volume::load) fn first_page(path: &Path) -> Result<ImageSlice> {
-    let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
-    catch_panic(|| {
-        let mut pages = decoder(path)?.0;
-        if pages.more_images() {
-            return Err(Error::file(
-                path,
-                "has several pages and is one of several files; name one file, or give each a single page",
-            ));
-        }
-        page(path, &mut pages)
-    })
-    .ok_or_else(ended)?
-}
-
-/// The page at the decoder's position.
-fn page(path: &Path, decoder: &mut TiffDecoder) -> Result<ImageSlice> {
-    let fail = |problem: String| Error::file(path, problem);
-    let (width, height) = decoder.dimensions().map_err(damaged(path))?;
-    let components = match decoder.colortype().map_err(damaged(path))? {
-        ColorType::Gray(_) => 1,
-        ColorType::GrayA(_) => 2,
-        ColorType::RGB(_) => 3,
-        ColorType::RGBA(_) => 4,
-        ColorType::Multiband { num_samples, .. } => usize::from(num_samples),
-        other => {
-            return Err(fail(format!(
-                "holds colours as {other:?}; convert it to grey or RGB"
-            )));
-        }
-    };
-    if components > 1
-        && decoder
-            .find_tag_unsigned::<u16>(Tag::PlanarConfiguration)
-            .ok()
-            .flatten()
-            == Some(2)
-    {
-        return Err(fail(
-            "keeps its colours in separate planes; convert it to interleaved ones".into(),
-        ));
-    }
-    let values: StoredValues = match decoder.read_image().map_err(damaged(path))? {
-        DecodingResult::U8(v) => v.into(),
-        DecodingResult::U16(v) => v.into(),
-        DecodingResult::U32(v) => v.into(),
-        DecodingResult::U64(v) => v.into(),
-        DecodingResult::I8(v) => v.into(),
-        DecodingResult::I16(v) => v.into(),
-        DecodingResult::I32(v) => v.into(),
-        DecodingResult::I64(v) => v.into(),
-        DecodingResult::F16(v) => v.into_iter().map(f32::from).collect::<Vec<f32>>().into(),
-        DecodingResult::F32(v) => v.into(),
-        DecodingResult::F64(v) => v.into(),
-    };
-    let size = [width as usize, height as usize];
-    if values.len() != size[0] * size[1] * components {
-        return Err(fail(format!(
-            "has a page of {width} x {height} pixels of which {} values were read; it is damaged",
-            values.len()
-        )));
-    }
-    Ok(ImageSlice {
-        size,
-        components,
-        values,
-    })
-}
-
-/// The distribution of pages over slices, channels and times, and the time to read.
+/// The distribution of planes over slices, channels and times.
 pub(super) struct Dimensions {
     /// Slices, channels, times.
     pub extents: [usize; 3],
     /// Which of these varies fastest, then next.
     pub order: [usize; 3],
-    pub time: usize,
 }
 
 impl Dimensions {
-    /// The pages of the time to read, channel after channel.
-    fn pages(&self) -> Vec<usize> {
-        let [slices, channels, _] = self.extents;
-        (0..channels)
-            .flat_map(|c| (0..slices).map(move |s| (s, c)))
-            .map(|(s, c)| self.page(s, c))
-            .collect()
+    /// Index of a plane.
+    fn plane(&self, at: [usize; 3]) -> usize {
+        let [a, b, c] = self.order;
+        at[a] + self.extents[a] * (at[b] + self.extents[b] * at[c])
     }
 
-    /// Index of a page.
-    fn page(&self, slice: usize, channel: usize) -> usize {
-        let (at, extents) = ([slice, channel, self.time], self.extents);
-        let [a, b, c] = self.order;
-        at[a] + extents[a] * (at[b] + extents[b] * at[c])
+    /// The planes of a time, channel after channel.
+    fn of_time(&self, time: usize) -> Vec<usize> {
+        let [slices, channels, _] = self.extents;
+        (0..channels)
+            .flat_map(|c| (0..slices).map(move |s| [s, c, time]))
+            .map(|at| self.plane(at))
+            .collect()
     }
 }
 
@@ -147,182 +55,300 @@ pub(super) struct Pixels {
     pub size: [usize; 3],
     pub components: usize,
     pub layout: Layout,
+    pub is_color: bool,
+    pub is_inverted: bool,
 }
 
-/// A file whose pages are being read.
+/// The pages that are slices: not thumbnails, levels of a pyramid or masks of transparency, unless
+/// all are.
+pub(super) fn slice_pages(
+    file: &mut TiffFile,
+    directories: &[Directory],
+    notices: &mut Vec<String>,
+) -> Result<Vec<usize>> {
+    let mut pages = Vec::new();
+    for (n, directory) in directories.iter().enumerate() {
+        let kind = file.integer(directory, tag::NEW_SUBFILE_TYPE)?.unwrap_or(0);
+        let older = file.integer(directory, tag::SUBFILE_TYPE)?.unwrap_or(0);
+        if kind & 5 == 0 && older != 2 {
+            pages.push(n);
+        }
+    }
+    if pages.is_empty() {
+        return Ok((0..directories.len()).collect());
+    }
+    let left_out = directories.len() - pages.len();
+    if left_out > 0 {
+        notices.push(format!(
+            "contains {left_out} pages that are thumbnails, reduced copies or masks; they are left out"
+        ));
+    }
+    Ok(pages)
+}
+
+/// The place of every plane; none for planes that no file holds.
+pub(super) fn planes_of(
+    file: &mut TiffFile,
+    directories: &[Directory],
+    pages: &[usize],
+    dimensions: &Dimensions,
+    metadata: &mut Description,
+) -> Result<Vec<Option<PlacedPlane>>> {
+    let count = dimensions
+        .extents
+        .iter()
+        .try_fold(1usize, |n, &d| n.checked_mul(d))
+        .filter(|n| *n <= MAX_PAGES)
+        .ok_or_else(|| file.error(format!("declares more than {MAX_PAGES} planes; it is damaged")))?;
+    let own = |page: usize, shift: u64| PlacedPlane {
+        file: None,
+        page,
+        shift,
+    };
+    if !metadata.planes.is_empty() {
+        return placed_planes(file, directories.len(), dimensions, metadata, count);
+    }
+    if pages.len() == 1 && count > 1 {
+        let step = contiguous_step(file, &directories[pages[0]])?;
+        return Ok((0..count as u64)
+            .map(|n| Some(own(pages[0], step.saturating_mul(n))))
+            .collect());
+    }
+    Ok((0..count)
+        .map(|n| pages.get(n).map(|page| own(*page, 0)))
+        .collect())
+}
+
+/// Bytes from one plane to the next behind a single directory.
+fn contiguous_step(file: &mut TiffFile, directory: &Directory) -> Result<u64> {
+    let format = PageFormat::of(file, directory)?;
+    let offsets = file.integers(directory, tag::STRIP_OFFSETS)?.unwrap_or_default();
+    let lengths = file.integers(directory, tag::STRIP_BYTES)?.unwrap_or_default();
+    let is_gapless = offsets
+        .windows(2)
+        .zip(&lengths)
+        .all(|(pair, length)| pair[0].checked_add(*length) == Some(pair[1]));
+    if format.compression != Compression::None || offsets.is_empty() || !is_gapless {
+        return Err(file.error(
+            "has slices behind a single directory that are compressed or not contiguous; export it again",
+        ));
+    }
+    Ok(format.stored_bytes())
+}
+
+/// Planes where OME-XML places them.
+fn placed_planes(
+    file: &mut TiffFile,
+    own_pages: usize,
+    dimensions: &Dimensions,
+    metadata: &mut Description,
+    count: usize,
+) -> Result<Vec<Option<PlacedPlane>>> {
+    let mut planes: Vec<Option<PlacedPlane>> = vec![None; count];
+    let mut page_counts: BTreeMap<String, Option<usize>> = BTreeMap::new();
+    let mut missing: BTreeMap<String, usize> = BTreeMap::new();
+    let own_name = file.path.file_name().map(|n| n.to_string_lossy().into_owned());
+    let names: std::collections::BTreeSet<&String> =
+        metadata.planes.iter().filter_map(|b| b.file.as_ref()).collect();
+    // A file that was renamed is still the only one.
+    let is_single = names.len() <= 1;
+    for block in &metadata.planes {
+        let is_own = block.file.is_none()
+            || block.file == own_name
+            || is_single
+            || block.uuid.is_some() && block.uuid == metadata.uuid;
+        let name = block.file.clone().unwrap_or_default();
+        let (path, pages) = if is_own {
+            (None, Some(own_pages))
+        } else {
+            let path = sibling_file(&file.path, &name)?;
+            let pages = *page_counts.entry(name.clone()).or_insert_with(|| {
+                // A file that exists but cannot be read is reported when its planes are.
+                path.is_file()
+                    .then(|| TiffFile::open(&path).map_or(usize::MAX, |(_, d)| d.len()))
+            });
+            (Some(path), pages)
+        };
+        let first = block.first;
+        if (0..3).any(|a| first[a] >= dimensions.extents[a]) {
+            continue;
+        }
+        let first = dimensions.plane(first);
+        let number = block
+            .count
+            .or(pages.map(|n| n.saturating_sub(block.page)))
+            .unwrap_or(count);
+        for n in 0..number.min(count - first) {
+            let page = block.page.saturating_add(n);
+            if pages.is_some_and(|pages| page < pages) {
+                planes[first + n] = Some(PlacedPlane {
+                    file: path.clone(),
+                    page,
+                    shift: 0,
+                });
+            } else if pages.is_none() {
+                *missing.entry(name.clone()).or_default() += 1;
+            }
+        }
+    }
+    let named: usize = missing.values().sum();
+    if let Some((name, n)) = missing.first_key_value() {
+        metadata.notices.push(match missing.len() {
+            1 => format!("refers to the file {name}, which is missing; its {n} planes are empty"),
+            files => format!(
+                "refers to {files} files that are missing ({name} and others); their {named} planes are empty"
+            ),
+        });
+    }
+    let holes = planes.iter().filter(|p| p.is_none()).count();
+    if holes > named {
+        metadata.notices.push(format!(
+            "declares {count} planes, of which {} are stored in no file; they are empty",
+            holes - named
+        ));
+    }
+    Ok(planes)
+}
+
+/// A file whose planes are being read, and the other one that was opened last.
 pub(super) struct Pages<'a> {
-    pub path: &'a Path,
-    pub decoder: TiffDecoder,
-    pub file_bytes: u64,
+    pub file: TiffFile,
+    pub directories: Vec<Directory>,
+    pub other: Option<(PathBuf, TiffFile, Vec<Directory>)>,
     pub watch: &'a Watch<'a>,
 }
 
 impl Pages<'_> {
-    /// Number of pages; leaves the decoder at the first one.
-    pub fn count(&mut self) -> Result<usize> {
-        let mut more = 0;
-        // Follows the directories without reading their pixels.
-        while self.decoder.more_images() && more < MAX_PAGES {
-            self.decoder.next_image().map_err(damaged(self.path))?;
-            more += 1;
+    /// The file and the directory of a plane.
+    fn of(&mut self, plane: &PlacedPlane) -> Result<(&mut TiffFile, &Directory)> {
+        let (file, directories) = match &plane.file {
+            None => (&mut self.file, &self.directories),
+            Some(path) => {
+                if self.other.as_ref().is_none_or(|(open, ..)| open != path) {
+                    let (file, directories) = TiffFile::open(path)?;
+                    self.other = Some((path.clone(), file, directories));
+                }
+                match &mut self.other {
+                    Some((_, file, directories)) => (file, &*directories),
+                    None => (&mut self.file, &self.directories),
+                }
+            }
+        };
+        match directories.get(plane.page) {
+            Some(directory) => Ok((file, directory)),
+            None => Err(file.error(format!("has no page {}; it is damaged", plane.page + 1))),
         }
-        self.decoder.seek_to_image(0).map_err(damaged(self.path))?;
-        Ok(1 + more)
     }
 
-    /// Reads slices and channels with one page each.
-    pub fn read_each(&mut self, dimensions: &Dimensions, warnings: &mut Vec<String>) -> Result<Pixels> {
-        let path = self.path;
-        let fail = |problem: &str| Error::file(path, problem);
+    /// Reads the planes of a time.
+    pub fn read(
+        &mut self,
+        dimensions: &Dimensions,
+        planes: &[Option<PlacedPlane>],
+        time: usize,
+        metadata: &mut Description,
+    ) -> Result<Pixels> {
         let channels = dimensions.extents[1];
-        let (stack, left_out) = self.stacked(&dimensions.pages())?;
+        let wanted: Vec<Option<PlacedPlane>> = dimensions
+            .of_time(time)
+            .into_iter()
+            .map(|n| planes.get(n).cloned().flatten())
+            .collect();
+        let Some(first) = wanted.iter().flatten().next().cloned() else {
+            return Err(self.file.error("holds none of the planes of this time"));
+        };
+        let (file, directory) = self.of(&first)?;
+        let format = PageFormat::of(file, directory)?;
+        format.check_held(file, wanted.iter().flatten().count() as u64)?;
+        metadata.notices.extend(format.notices(file, directory)?);
+        let (stack, left_out) = self.stacked(&wanted, &format)?;
         if left_out > 0 && channels > 1 {
-            return Err(fail(
-                "has channels with different page sizes; export it with a single size",
-            ));
+            return Err(self
+                .file
+                .error("has channels with different page sizes; export it with a single size"));
         }
         if left_out > 0 {
-            warnings.push(format!(
+            metadata.notices.push(format!(
                 "{left_out} pages differ in size or type from the first and were skipped"
             ));
         }
         let (size, samples, count) = (stack.size, stack.components, stack.count);
         if samples > 1 && channels > 1 {
-            return Err(fail("holds both channels and colours; split them"));
+            return Err(self.file.error("holds both channels and colours; split them"));
         }
-        let voxels = stack.finish().ok_or_else(|| fail("holds no page"))?;
-        let layout = if samples > 1 {
-            Layout::Interleaved
-        } else {
-            Layout::Planar
-        };
+        let voxels = stack.finish().ok_or_else(|| self.file.error("holds no page"))?;
         Ok(Pixels {
             voxels,
             size: [size[0], size[1], count / channels],
             components: samples * channels,
-            layout,
+            layout: if samples > 1 {
+                Layout::Interleaved
+            } else {
+                Layout::Planar
+            },
+            is_color: format.is_color(),
+            is_inverted: format.photometric == super::page::Photometric::WhiteIsZero,
         })
     }
 
-    /// Pages combined into one array, and the number of omitted pages that differ from the first
-    /// one.
-    fn stacked(&mut self, wanted: &[usize]) -> Result<(ImageStack, usize)> {
-        let path = self.path;
+    /// Planes combined into one array, and the number of those left out because they differ from
+    /// the first one.
+    fn stacked(
+        &mut self,
+        wanted: &[Option<PlacedPlane>],
+        format: &PageFormat,
+    ) -> Result<(ImageStack, usize)> {
         let mut stack = ImageStack::default();
         let meter = ByteProgress::new(self.watch, wanted.len() as u64);
         let mut left_out = 0usize;
-        for &index in wanted {
-            self.decoder.seek_to_image(index).map_err(damaged(path))?;
-            let (width, height) = self.decoder.dimensions().map_err(damaged(path))?;
-            if stack.count == 0 {
-                check_held(
-                    path,
-                    (u64::from(width) * u64::from(height)).saturating_mul(wanted.len() as u64),
-                    self.file_bytes.saturating_mul(MAX_COMPRESSION_RATIO),
-                )?;
-            } else if (width, height) != (stack.size[0] as u32, stack.size[1] as u32) {
-                left_out += 1;
-                continue;
-            }
-            left_out += usize::from(!stack.push(page(path, &mut self.decoder)?, wanted.len()));
+        for plane in wanted {
+            let slice = match plane {
+                None => self.empty(format)?,
+                Some(plane) => {
+                    let (file, directory) = self.of(plane)?;
+                    let own = PageFormat::of(file, directory)?;
+                    if own.size != format.size {
+                        left_out += 1;
+                        continue;
+                    }
+                    own.read(file, directory, plane.shift)?
+                }
+            };
+            left_out += usize::from(!stack.push(slice, wanted.len()));
             meter.add(1)?;
         }
         Ok((stack, left_out))
     }
 
-    /// Consecutive slices after a single directory, as in large files of ImageJ.
-    pub fn read_contiguous(&mut self, dimensions: &Dimensions) -> Result<Pixels> {
-        let path = self.path;
-        let [slices, channels, _] = dimensions.extents;
-        let (width, height) = self.decoder.dimensions().map_err(damaged(path))?;
-        let (scalar, first) = self.contiguous_values(dimensions)?;
-        let big = self.decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
-        // Channels vary fastest.
-        let one_time = count(path, &[width as usize, height as usize, slices, channels], scalar)?;
-        let bytes = (one_time * scalar.bytes()) as u64;
-        let ahead = bytes.saturating_mul(dimensions.time as u64);
-        check_held(
-            path,
-            first.saturating_add(ahead).saturating_add(bytes),
-            self.file_bytes,
-        )?;
-        let mut reader = BufReader::new(open_file(path)?.0);
-        reader
-            .seek(SeekFrom::Start(first))
-            .map_err(|e| Error::io(path, "reading", e))?;
-        skip(path, &mut reader, ahead)?;
-        let swap = big != cfg!(target_endian = "big");
-        let voxels = ValueReader {
-            path,
-            reader,
-            swap,
-            count: one_time,
-            watch: self.watch,
-        }
-        .read_as(scalar)?;
-        let (width, height) = (width as usize, height as usize);
-        let voxels = if channels == 1 {
-            voxels
-        } else {
-            // From slices of channels to channels of slices.
-            voxels
-                .reshaped((slices, channels, width * height))
-                .permuted(Ix3(1, 0, 2))
-                .reshaped(one_time)
-        };
-        Ok(Pixels {
-            voxels,
-            size: [width, height, slices],
-            components: channels,
-            layout: Layout::Planar,
+    /// A plane of zeros.
+    fn empty(&self, format: &PageFormat) -> Result<ImageSlice> {
+        let count = format.size[0] * format.size[1] * format.retained();
+        Ok(ImageSlice {
+            size: format.size,
+            components: format.retained(),
+            values: with_scalar!(format.scalar(), T => zeroed::<T>(&self.file.path, count)?.into()),
         })
     }
+}
 
-    /// Type of the values after a single directory, and the offset of the first one.
-    fn contiguous_values(&mut self, dimensions: &Dimensions) -> Result<(ScalarType, u64)> {
-        let path = self.path;
-        let fail = |problem: &str| Error::file(path, problem);
-        let [_, channels, times] = dimensions.extents;
-        let color = self.decoder.colortype().map_err(damaged(path))?;
-        let scalar = match (
-            color,
-            self.decoder
-                .find_tag_unsigned::<u16>(Tag::SampleFormat)
-                .ok()
-                .flatten(),
-        ) {
-            (ColorType::Gray(8), _) => ScalarType::U8,
-            (ColorType::Gray(16), Some(2)) => ScalarType::I16,
-            (ColorType::Gray(16), _) => ScalarType::U16,
-            (ColorType::Gray(32), Some(3)) => ScalarType::F32,
-            (ColorType::Gray(32), _) => ScalarType::U32,
-            _ => {
-                return Err(fail(
-                    "has slices behind a single directory that are not grey; export it again",
-                ));
-            }
-        };
-        if self
-            .decoder
-            .find_tag_unsigned::<u16>(Tag::Compression)
-            .ok()
-            .flatten()
-            .is_some_and(|c| c != 1)
-            || channels > 1 && times > 1
-        {
-            return Err(fail(
-                "has packed slices behind a single directory; export it again",
-            ));
+/// The only page of a file that is one of several.
+pub(super) fn single_page(file: &mut TiffFile, directories: &[Directory]) -> Result<ImageSlice> {
+    let pages = slice_pages(file, directories, &mut Vec::new())?;
+    match pages[..] {
+        [page] => {
+            let format = PageFormat::of(file, &directories[page])?;
+            format.read(file, &directories[page], 0)
         }
-        let first = self
-            .decoder
-            .find_tag_unsigned_vec::<u64>(Tag::StripOffsets)
-            .ok()
-            .flatten()
-            .and_then(|o| o.first().copied());
-        Ok((
-            scalar,
-            first.ok_or_else(|| fail("does not say where its pixels are"))?,
-        ))
+        _ => Err(Error::file(
+            &file.path,
+            "has several pages and is one of several files; name one file, or give each a single page",
+        )),
     }
+}
+
+/// Whether a description places planes in other files, too.
+pub(super) fn spans_files(metadata: &Description) -> bool {
+    let mut names = metadata.planes.iter().filter_map(|b| b.file.as_ref());
+    let first = names.next();
+    metadata.kind == DescriptionKind::Ome && names.any(|name| Some(name) != first)
 }
