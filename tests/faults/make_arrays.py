@@ -1,0 +1,473 @@
+"""Writes small TIFF, Zarr, NumPy and picture files that readers get wrong, and cases.json.
+
+    make_arrays.py OUTDIR
+
+Needs numpy, tifffile, imagecodecs, zarr 3, numcodecs, Pillow and SimpleITK. Files are written by these; where none can write
+a fault, tags or bytes are edited afterwards. What must come out is read from the very files by the
+peer that each case names. Every run writes the same bytes.
+"""
+
+import io
+import json
+import shutil
+import struct
+import sys
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy
+import tifffile
+from PIL import Image as Picture
+
+CASES = []
+OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "arrays")
+
+
+def case(kind, name, path, peer, volume=None, colors=None, **expected):
+    """One case; `volume` is indexed (k, j, i), `colors` (k, j, i, channel)."""
+    entry = {"kind": kind, "name": f"{kind.replace(' ', '-')}-{name}", "path": str(path), "peer": peer}
+    shape = volume.shape if volume is not None else colors.shape[:3] if colors is not None else None
+    if shape is not None:
+        nk, nj, ni = shape
+        entry["size"] = [ni, nj, nk]
+        spread = [(0, 0, 0), (ni - 1, nj - 1, nk - 1), (ni - 1, 0, 0), (0, nj - 1, 0), (0, 0, nk - 1), (ni // 2, nj // 3, nk // 2), (ni // 3, nj // 2, nk // 3)]
+        places = list(dict.fromkeys(spread))
+        if volume is not None:
+            if "options" not in expected:
+                entry["components"] = 1
+            entry["values"] = [[i, j, k, float(volume[k, j, i])] for i, j, k in places]
+        else:
+            entry["colors"] = [[i, j, k, [int(c) for c in colors[k, j, i][:3]]] for i, j, k in places]
+    entry.update(expected)
+    CASES.append(entry)
+
+
+def volume(dtype, shape=(3, 6, 7), top=None):
+    """A volume without symmetry."""
+    n = numpy.arange(int(numpy.prod(shape))).reshape(shape)
+    values = (n * 37 + (n // 7) * 11 + 5) % (top or 251)
+    return values.astype(dtype)
+
+
+def at(*parts):
+    path = OUT.joinpath(*parts)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def relative(path):
+    return path.relative_to(OUT)
+
+
+def tiff(name, data, **options):
+    """A TIFF by tifffile."""
+    path = at("tiff", name)
+    options.setdefault("metadata", None)
+    options.setdefault("photometric", "minisblack")
+    tifffile.imwrite(path, data, **options)
+    return path
+
+
+def retagged(path, **tags):
+    """Overwrites values of tags of every page."""
+    with tifffile.TiffFile(path, mode="r+b") as file:
+        for page in file.pages:
+            for tag, value in tags.items():
+                page.tags[tag].overwrite(value)
+    return path
+
+
+def renumbered(path, old, new):
+    """Gives a tag of every page another number: tifffile writes only some by itself."""
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as file:
+        for page in file.pages:
+            struct.pack_into(file.byteorder + "H", data, page.tags[old].offset, new)
+    path.write_bytes(data)
+    return path
+
+
+def packed(values, bits):
+    """Rows of samples of some bits, each in whole bytes, the most significant bit first."""
+    rows = values.reshape(-1, values.shape[-1])
+    out = []
+    for row in rows:
+        text = "".join(format(int(v) & ((1 << bits) - 1), f"0{bits}b") for v in row)
+        text += "0" * (-len(text) % 8)
+        out.append([int(text[n : n + 8], 2) for n in range(0, len(text), 8)])
+    return numpy.array(out, dtype=numpy.uint8).reshape(*values.shape[:-1], -1)
+
+
+def pages(path):
+    """All pages as tifffile reads them, one after the other."""
+    with tifffile.TiffFile(path) as file:
+        return numpy.stack([page.asarray() for page in file.pages])
+
+
+NO_SPACING = ["does not state voxel spacing"]
+
+
+def tiff_bits():
+    kind = "tiff bits"
+
+    def odd(name, values, bits, byteorder="<"):
+        stored = packed(values, bits)
+        path = tiff(name + ".tif", stored, byteorder=byteorder, rowsperstrip=values.shape[1], software=False)
+        retagged(path, ImageWidth=values.shape[-1], BitsPerSample=bits)
+        return path
+
+    masks = volume(numpy.uint8, (3, 8, 21), 7) < 3
+    for name, compression in (("none", None), ("packbits", "packbits"), ("group-3", "group3"), ("group-4", "group4"), ("huffman", "tiff_ccitt")):
+        frames = [Picture.fromarray(m) for m in masks]
+        path = at("tiff", f"bit-{name}.tif")
+        frames[0].save(path, save_all=True, append_images=frames[1:], compression=compression)
+        case(kind, f"1-{name}", relative(path), "Pillow", numpy.stack([numpy.array(f) for f in masks]).astype(int), warns=NO_SPACING, not_warns=["differ"])
+    path = at("tiff", "bit-bool.tif")
+    tifffile.imwrite(path, masks, photometric="minisblack", metadata=None)
+    case(kind, "1-tifffile", relative(path), "tifffile", tifffile.imread(path).astype(int))
+    path = tiff("bit-fill-order-2.tif", numpy.array([[[int(f"{b:08b}"[::-1], 2) for b in row] for row in m] for m in packed(masks.astype(int), 1)], dtype=numpy.uint8), extratags=[(265, "H", 1, 2, False)], rowsperstrip=8)
+    renumbered(path, 265, 266)
+    retagged(path, ImageWidth=21, BitsPerSample=1)
+    case(kind, "1-fill-order-2", relative(path), "tifffile", pages(path).astype(int))
+    for bits in (2, 4, 6, 10, 12, 14):
+        values = volume(numpy.uint32, (2, 5, 9), 1 << bits)
+        path = odd(f"depth-{bits}", values, bits)
+        case(kind, f"{bits}", relative(path), "tifffile", pages(path), not_warns=["damaged"])
+    values = volume(numpy.uint32, (2, 5, 9), 1 << 12)
+    path = odd("depth-12-big-endian", values, 12, byteorder=">")
+    case(kind, "12-big-endian", relative(path), "tifffile", pages(path))
+    stored = numpy.frombuffer(b"".join(struct.pack("<I", v)[:3] for v in [0x3F0000, 0xC08000, 0, 0x400000, 0xBF0000, 0x3E8000] * 4), numpy.uint8).reshape(1, 4, 18)
+    path = tiff("float-24.tif", stored[0], extratags=[(337, "H", 1, 3, False)])
+    renumbered(path, 337, 339)
+    retagged(path, ImageWidth=6, BitsPerSample=24)
+    case(kind, "float-24", relative(path), "tifffile", pages(path))
+    for dtype in ("float16", "int8", "int16", "uint32", "int32", "uint64", "int64", "float64"):
+        values = volume("int64")
+        values = (values - 100 if not dtype.startswith("u") else values).astype(dtype)
+        for order, sign in (("little", "<"), ("big", ">")):
+            if order == "big" and dtype not in ("float16", "int16", "float64"):
+                continue
+            path = tiff(f"type-{dtype}-{order}.tif", values, byteorder=sign, bigtiff=dtype == "int64")
+            case(kind, f"{dtype}-{order}", relative(path), "tifffile", pages(path))
+    path = tiff("type-complex64.tif", volume("complex64"))
+    case(kind, "complex", relative(path), "TIFF 6.0 section 19", error=["complex"])
+
+
+def palette(count, grey=False):
+    n = numpy.arange(count)
+    ramp = (n * 65535 // (count - 1)).astype(numpy.uint16)
+    return numpy.stack([ramp, ramp, ramp] if grey else [ramp, ramp[::-1], (n * 9973 % 65536).astype(numpy.uint16)])
+
+
+def tiff_palette():
+    kind, notice = "tiff palette", ["colour table"]
+    masks = volume(numpy.uint8, top=5)
+    for name, data, count, options in (
+        ("8", volume(numpy.uint8), 256, {}),
+        ("8-labels", masks, 256, {}),
+        ("16", volume(numpy.uint16, top=60001), 65536, {"compression": "deflate"}),
+        ("8-lzw", volume(numpy.uint8), 256, {"compression": "lzw", "predictor": 2}),
+        ("8-tiles", volume(numpy.uint8, (3, 20, 21)), 256, {"tile": (16, 16)}),
+        ("8-big-endian", volume(numpy.uint8), 256, {"byteorder": ">"}),
+        ("8-single", volume(numpy.uint8)[:1], 256, {}),
+    ):
+        path = tiff(f"palette-{name}.tif", data, photometric="palette", colormap=palette(count), **options)
+        if name == "16":
+            data = data[:1]
+            path = tiff(f"palette-{name}.tif", data, photometric="palette", colormap=palette(count), **options)
+        case(kind, name, relative(path), "tifffile", pages(path), warns=notice)
+    path = tiff("palette-grey.tif", volume(numpy.uint8), photometric="palette", colormap=palette(256, True))
+    case(kind, "8-grey-ramp", relative(path), "tifffile", pages(path), not_warns=notice)
+    for bits in (1, 2, 4):
+        values = volume(numpy.uint8, (2, 5, 9), 1 << bits)
+        path = tiff(f"palette-{bits}.tif", packed(values, bits), photometric="palette", colormap=palette(256))
+        with tifffile.TiffFile(path, mode="r+b") as file:
+            for page in file.pages:
+                page.tags["ImageWidth"].overwrite(9)
+                page.tags["BitsPerSample"].overwrite(bits)
+                page.tags["ColorMap"].overwrite(tuple(int(v) for v in palette(1 << bits).ravel()))
+        case(kind, f"{bits}", relative(path), "tifffile", numpy.stack([p.asarray() for p in tifffile.TiffFile(path).pages]), warns=notice)
+    frames = [Picture.fromarray(m).convert("P") for m in masks]
+    for f in frames:
+        f.putpalette([(n * 7) % 256 for n in range(768)])
+    path = at("tiff", "palette-pillow.tif")
+    frames[0].save(path, save_all=True, append_images=frames[1:])
+    case(kind, "8-pillow", relative(path), "tifffile", pages(path), warns=notice)
+    path = at("tiff", "palette-imagej.tif")
+    tifffile.imwrite(path, volume(numpy.uint8), imagej=True, photometric="palette", colormap=palette(256), resolution=(2, 2), metadata={"unit": "mm", "spacing": 3.0, "axes": "ZYX"})
+    case(kind, "8-imagej", relative(path), "tifffile", pages(path), warns=notice, spacing_mm=[0.5, 0.5, 3.0])
+
+
+def tiff_planes():
+    kind = "tiff planes and photometric"
+    rgb = volume(numpy.uint8, (2, 6, 7, 3))
+    for name, options in (("chunky", {}), ("planar", {"planarconfig": "separate"}), ("planar-tiles", {"planarconfig": "separate", "tile": (16, 16)}), ("planar-deflate", {"planarconfig": "separate", "compression": "deflate", "predictor": 2})):
+        data = numpy.moveaxis(rgb, -1, 1) if "planar" in name else rgb
+        path = tiff(f"rgb-{name}.tif", data, photometric="rgb", **options)
+        read = pages(path)
+        case(kind, f"rgb-{name}", relative(path), "tifffile", colors=numpy.moveaxis(read, 1, -1) if "planar" in name else read, components=3)
+    path = tiff("rgba.tif", numpy.concatenate([rgb, numpy.full_like(rgb[..., :1], 255)], -1), photometric="rgb", extrasamples=["unassalpha"])
+    case(kind, "rgba", relative(path), "tifffile", colors=pages(path), components=4)
+    path = tiff("rgbx.tif", numpy.concatenate([rgb, rgb[..., :1]], -1), photometric="rgb", extrasamples=["unspecified"])
+    case(kind, "rgbx", relative(path), "tifffile", colors=pages(path), components=3, warns=["left out"])
+    path = tiff("rgb-16-planar.tif", numpy.moveaxis(rgb.astype(numpy.uint16) * 257, -1, 1), photometric="rgb", planarconfig="separate")
+    case(kind, "rgb-16-planar", relative(path), "tifffile", colors=numpy.moveaxis(pages(path), 1, -1))
+    for dtype in ("uint8", "uint16", "int16", "float32"):
+        path = tiff(f"white-is-zero-{dtype}.tif", volume(dtype), photometric="miniswhite")
+        case(kind, f"white-is-zero-{dtype}", relative(path), "tifffile", pages(path), warns=["WhiteIsZero"])
+    path = tiff("white-is-zero-bit.tif", volume(numpy.uint8, (2, 8, 21), 7) < 3, photometric="miniswhite")
+    case(kind, "white-is-zero-bit", relative(path), "tifffile", pages(path).astype(int), warns=["WhiteIsZero"])
+    cmyk = volume(numpy.uint8, (1, 6, 7, 4))
+    path = tiff("cmyk.tif", cmyk, photometric="separated")
+    case(kind, "cmyk", relative(path), "Pillow", colors=numpy.array(Picture.open(path).convert("RGB"))[None], warns=["CMYK"])
+    ycbcr = volume(numpy.uint8, (1, 6, 7, 3))
+    path = tiff("ycbcr.tif", ycbcr, photometric="ycbcr", subsampling=(1, 1))
+    colors = numpy.array(Picture.fromarray(ycbcr[0], "YCbCr").convert("RGB"))[None]
+    case(kind, "ycbcr", relative(path), "Pillow's YCbCr", size=[7, 6, 1], components=3)
+    path = retagged(tiff("ycbcr-subsampled.tif", ycbcr, photometric="ycbcr", subsampling=(1, 1)), YCbCrSubSampling=(2, 2))
+    case(kind, "ycbcr-subsampled", relative(path), "TIFF 6.0 section 21", error=["subsampled YCbCr"])
+    path = tiff("cielab.tif", rgb[:1], photometric="cielab")
+    case(kind, "cielab", relative(path), "TIFF 6.0 section 23", error=["L*a*b*"])
+    path = tiff("grey-alpha.tif", volume(numpy.uint8, (2, 6, 7, 2)), extrasamples=["unassalpha"], planarconfig="contig")
+    case(kind, "grey-alpha", relative(path), "tifffile", pages(path)[..., 0], warns=["opacity"])
+    path = tiff("grey-planes.tif", volume(numpy.uint16, (2, 2, 6, 7)), planarconfig="separate", extrasamples=["unspecified"])
+    case(kind, "channels-in-planes", relative(path), "tifffile", pages(path)[:, 1], options={"channel": 2})
+    path = tiff("samples-5.tif", volume(numpy.uint16, (1, 6, 7, 5)), planarconfig="contig", extrasamples=["unspecified"] * 4)
+    case(kind, "samples-5", relative(path), "tifffile", pages(path)[..., 3], options={"channel": 4})
+    path = retagged(tiff("mixed-depth.tif", rgb[:1], photometric="rgb"), BitsPerSample=(5, 6, 5))
+    case(kind, "565", relative(path), "TIFF 6.0 section 6", error=["5, 6, 5 bits"])
+    for n in (2, 3, 6):
+        path = tiff(f"orientation-{n}.tif", volume(numpy.uint8), extratags=[(272, "H", 1, n, False)])
+        renumbered(path, 272, 274)
+        case(kind, f"orientation-{n}", relative(path), "tifffile", pages(path), warns=[f"orientation {n}"])
+    path = retagged(tiff("cfa.tif", volume(numpy.uint16)), PhotometricInterpretation=32803)
+    case(kind, "cfa", relative(path), "tifffile", pages(path), warns=["CFA"])
+
+
+def tiff_compression():
+    kind = "tiff compression and predictor"
+    data = volume(numpy.uint16, (2, 20, 21), 60013)
+    for name, options in (
+        ("lzw", {"compression": "lzw"}),
+        ("lzw-2", {"compression": "lzw", "predictor": 2}),
+        ("deflate", {"compression": "deflate"}),
+        ("deflate-2-big-endian", {"compression": "deflate", "predictor": 2, "byteorder": ">"}),
+        ("zstd", {"compression": "zstd"}),
+        ("zstd-2-tiles", {"compression": "zstd", "predictor": 2, "tile": (16, 16)}),
+        ("lzma", {"compression": "lzma"}),
+        ("packbits", {"compression": "packbits"}),
+        ("jpeg-2000", {"compression": "jpeg2000", "compressionargs": {"level": 0, "reversible": True}}),
+        ("tiles", {"tile": (16, 16)}),
+        ("strips", {"rowsperstrip": 7, "compression": "deflate"}),
+    ):
+        path = tiff(f"packed-{name}.tif", data, **options)
+        case(kind, name, relative(path), "tifffile", pages(path))
+    for dtype in ("float16", "float32", "float64"):
+        floats = (volume("int64", (2, 20, 21)) / 8 - 10).astype(dtype)
+        for order in "<>":
+            path = tiff(f"floats-{dtype}-{'big' if order == '>' else 'little'}.tif", floats, compression="deflate", predictor=3, byteorder=order)
+            case(kind, f"{dtype}-3-{'big' if order == '>' else 'little'}", relative(path), "tifffile", pages(path))
+    path = tiff("floats-tiles.tif", (volume("int64", (2, 20, 21)) / 8 - 10).astype("float32"), compression="zstd", predictor=3, tile=(16, 16))
+    case(kind, "float32-3-tiles", relative(path), "tifffile", pages(path))
+    for dtype in ("uint8", "int32", "int64"):
+        path = tiff(f"differences-{dtype}.tif", volume(dtype, (2, 20, 21)), compression="deflate", predictor=2)
+        case(kind, f"{dtype}-2", relative(path), "tifffile", pages(path))
+    smooth = (numpy.add.outer(numpy.arange(24), numpy.arange(24)) * 4).astype(numpy.uint8)[None]
+    path = tiff("jpeg-grey.tif", smooth, compression="jpeg", compressionargs={"level": 100})
+    case(kind, "jpeg-grey", relative(path), "tifffile", size=[24, 24, 1], components=1, not_warns=["damaged"])
+    rgb = numpy.stack([smooth, smooth[:, ::-1], smooth[..., ::-1]], -1)
+    path = tiff("jpeg-rgb.tif", rgb, photometric="rgb", compression="jpeg", compressionargs={"level": 100})
+    case(kind, "jpeg-rgb", relative(path), "tifffile", size=[24, 24, 1], components=3)
+    path = tiff("jpeg-ycbcr-tiles.tif", numpy.concatenate([rgb, rgb]), photometric="ycbcr", subsampling=(2, 2), compression="jpeg", tile=(16, 16))
+    case(kind, "jpeg-ycbcr-tiles", relative(path), "tifffile", size=[24, 24, 2], components=3)
+    for name, compression, word in (("webp", "webp", "WebP"), ("lerc", "lerc", "LERC"), ("jpeg-xl", "jpegxl", "JPEG XL"), ("png", "png", "PNG"), ("jpeg-xr", "jpegxr", "JPEG XR")):
+        data = rgb if name == "webp" else smooth
+        path = tiff(f"refused-{name}.tif", data, photometric="rgb" if name == "webp" else "minisblack", compression=compression)
+        case(kind, name, relative(path), "tifffile's name of the compression", error=[word])
+    path = retagged(tiff("refused-jbig.tif", smooth), Compression=34661)
+    case(kind, "jbig", relative(path), "registered number", error=["JBIG"])
+    path = retagged(tiff("refused-number.tif", smooth), Compression=12345)
+    case(kind, "number", relative(path), "TIFF 6.0", error=["12345"])
+    path = tiff("sparse.tif", volume(numpy.uint8, (1, 20, 21)), tile=(16, 16))
+    with tifffile.TiffFile(path, mode="r+b") as file:
+        tags = file.pages[0].tags
+        tags["TileOffsets"].overwrite((0,) + tags["TileOffsets"].value[1:])
+        tags["TileByteCounts"].overwrite((0,) + tags["TileByteCounts"].value[1:])
+    case(kind, "sparse", relative(path), "tifffile", pages(path))
+
+
+def ome_metadata(axes, **more):
+    return {"axes": axes, "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.25, "PhysicalSizeZ": 2.0, **more}
+
+
+def ome_description(path, old, new):
+    """Replaces text in the OME-XML of the first page by text of the same length or shorter."""
+    data = path.read_bytes()
+    assert old in data, old
+    path.write_bytes(data.replace(old, new.ljust(len(old), b" "), 1))
+    return path
+
+
+def tiff_ome_imagej():
+    kind = "tiff ome and imagej"
+    um = 1e-3
+    units = {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm", "PhysicalSizeZUnit": "µm"}
+
+    def ome(name, data, axes, **more):
+        path = at("tiff", name + ".ome.tif")
+        options = {k: more.pop(k) for k in ("planarconfig", "photometric", "tile", "compression") if k in more}
+        options.setdefault("photometric", "minisblack")
+        tifffile.imwrite(path, data, ome=True, software=False, metadata=ome_metadata(axes, UUID="00000000-0000-0000-0000-000000000001", **more), **options)
+        text = path.read_bytes()
+        # A UUID that differs from run to run.
+        start = text.find(b"urn:uuid:")
+        while start >= 0:
+            text = text[: start + 9] + b"00000000-0000-0000-0000-000000000001" + text[start + 45 :]
+            start = text.find(b"urn:uuid:", start + 9)
+        path.write_bytes(text)
+        return path
+
+    spacing = [0.5 * um, 0.25 * um, 2 * um]
+    path = ome("units-default", volume("uint16"), "ZYX")
+    case(kind, "ome-units-default", relative(path), "tifffile", tifffile.imread(path), spacing_mm=spacing)
+    path = ome("units-mm", volume("uint16"), "ZYX", PhysicalSizeXUnit="mm", PhysicalSizeYUnit="mm", PhysicalSizeZUnit="mm")
+    case(kind, "ome-units-mm", relative(path), "tifffile", tifffile.imread(path), spacing_mm=[0.5, 0.25, 2])
+    path = ome("units-nm", volume("uint8"), "ZYX", PhysicalSizeXUnit="nm", PhysicalSizeYUnit="nm", PhysicalSizeZUnit="nm")
+    case(kind, "ome-units-nm", relative(path), "OME 6", tifffile.imread(path), spacing_mm=[0.5e-6, 0.25e-6, 2e-6])
+    path = ome("units-pixel", volume("uint8"), "ZYX", PhysicalSizeXUnit="pixel", PhysicalSizeYUnit="pixel", PhysicalSizeZUnit="pixel")
+    case(kind, "ome-units-pixel", relative(path), "OME 6", tifffile.imread(path), warns=["no length"])
+    five = volume("uint16", (2, 3, 2, 6, 7), 60013)
+    for axes in ("TZCYX", "TCZYX", "ZTCYX", "CZTYX"):
+        path = ome(f"order-{axes.lower()}", five, axes, **units)
+        with tifffile.TiffFile(path) as file:
+            series = file.series[0]
+            moved = numpy.moveaxis(series.asarray(), [series.axes.index(a) for a in "TCZYX"], range(5))
+        case(kind, f"ome-order-{axes.lower()}", relative(path), "tifffile", moved[1, 1], options={"time": 2, "channel": 2}, spacing_mm=spacing, time_points=moved.shape[0])
+    path = ome("rgb", volume("uint8", (3, 6, 7, 3)), "ZYXS", photometric="rgb")
+    case(kind, "ome-rgb", relative(path), "tifffile", colors=tifffile.imread(path), components=3, spacing_mm=spacing)
+    path = ome("rgb-planar", volume("uint8", (2, 3, 6, 7)), "ZSYX", photometric="rgb", planarconfig="separate")
+    case(kind, "ome-rgb-planar", relative(path), "tifffile", colors=numpy.moveaxis(tifffile.imread(path), 1, -1), components=3)
+    # Several files, of which any may be opened; one of them missing; renamed.
+    names = ["z0.ome.tif", "z1.ome.tif", "z2.ome.tif"]
+    stack = volume("uint16", (3, 6, 7), 60013)
+
+    def several(folder, written, description=None, blocks=None):
+        for n, name in enumerate(names):
+            if n not in written:
+                continue
+            blocks_text = blocks or "".join(f'<TiffData FirstZ="{z}" IFD="0" PlaneCount="1"><UUID FileName="{names[z]}">urn:uuid:00000000-0000-0000-0000-00000000000{z}</UUID></TiffData>' for z in range(3))
+            text = description or f'<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-00000000000{n}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="7" SizeY="6" SizeZ="3" SizeC="1" SizeT="1" PhysicalSizeX="0.5" PhysicalSizeY="0.25" PhysicalSizeZ="2"><Channel ID="Channel:0:0" SamplesPerPixel="1"/>{blocks_text}</Pixels></Image></OME>'
+            tiff(f"{folder}/{name}", stack[n], description=text)
+        return at("tiff", folder, names[written[0]])
+
+    for opened in (0, 1, 2):
+        several("ome-several", [0, 1, 2])
+        path = at("tiff", "ome-several", names[opened])
+        case(kind, f"ome-several-{opened}", relative(path), "tifffile", tifffile.imread(path) if opened == 0 else stack, spacing_mm=spacing, not_warns=["missing", "declares"])
+    case(kind, "ome-several-folder", "tiff/ome-several", "tifffile", stack, spacing_mm=spacing)
+    path = several("ome-missing", [0, 2])
+    hole = stack.copy()
+    hole[1] = 0
+    case(kind, "ome-missing", relative(path), "OME-TIFF 6", hole, warns=["z1.ome.tif"])
+    path = several("ome-outside", [0], blocks='<TiffData FirstZ="0" IFD="0"/><TiffData FirstZ="1" IFD="0"><UUID FileName="../../outside.tif">urn:uuid:9</UUID></TiffData><TiffData FirstZ="2" IFD="0"><UUID FileName="b.tif">urn:uuid:8</UUID></TiffData>')
+    case(kind, "ome-outside", relative(path), "no file outside of its folder", error=["outside.tif"])
+    binary = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-000000000000"><BinaryOnly MetadataFile="all.companion.ome" UUID="urn:uuid:5"/></OME>'
+    path = several("ome-companion", [0, 1, 2], description=binary)
+    text = tifffile.TiffFile(at("tiff", "ome-several", names[0])).pages[0].description
+    at("tiff", "ome-companion", "all.companion.ome").write_text(text)
+    case(kind, "ome-companion", relative(path), "OME-TIFF 6, BinaryOnly", stack, spacing_mm=spacing)
+    path = several("ome-no-companion", [0], description=binary)
+    case(kind, "ome-no-companion", relative(path), "OME-TIFF 6, BinaryOnly", stack[:1], warns=["all.companion.ome"])
+    # Planes in reverse, stated by TiffData.
+    blocks = "".join(f'<TiffData IFD="{2 - z}" FirstZ="{z}" PlaneCount="1"/>' for z in range(3))
+    text = f'<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="7" SizeY="6" SizeZ="3" SizeC="1" SizeT="1"><Channel ID="Channel:0:0" SamplesPerPixel="1"/>{blocks}</Pixels></Image></OME>'
+    path = tiff("reversed.ome.tif", stack, description=text)
+    case(kind, "ome-reversed", relative(path), "tifffile", tifffile.imread(path), warns=NO_SPACING)
+    # ImageJ.
+    for name, unit, mm in (("mm", "mm", 1), ("micron", "micron", um), ("escape", "\\u00B5m", um), ("cm", "cm", 10), ("nm", "nm", 1e-6), ("inch", "inch", 25.4)):
+        path = at("tiff", f"imagej-{name}.tif")
+        tifffile.imwrite(path, stack, imagej=True, resolution=(2, 4), metadata={"axes": "ZYX", "unit": unit, "spacing": 3.0})
+        case(kind, f"imagej-{name}", relative(path), "tifffile", tifffile.imread(path), spacing_mm=[0.5 * mm, 0.25 * mm, 3 * mm], not_warns=["without a unit"])
+    path = at("tiff", "imagej-pixel.tif")
+    tifffile.imwrite(path, stack, imagej=True, resolution=(2, 4), metadata={"axes": "ZYX", "unit": "pixel", "spacing": 3.0})
+    case(kind, "imagej-pixel", relative(path), "tifffile", tifffile.imread(path), warns=["pixel"])
+    path = at("tiff", "imagej-no-distance.tif")
+    tifffile.imwrite(path, stack, imagej=True, resolution=(2, 4), metadata={"axes": "ZYX", "unit": "micron"})
+    case(kind, "imagej-no-distance", relative(path), "ImageJ's TiffDecoder", tifffile.imread(path), spacing_mm=[0.5 * um, 0.25 * um, um], warns=["distance of its slices"])
+    path = at("tiff", "imagej-hyperstack.tif")
+    tifffile.imwrite(path, five, imagej=True, metadata={"axes": "TZCYX"})
+    case(kind, "imagej-hyperstack", relative(path), "tifffile", tifffile.imread(path)[1, :, 0], options={"time": 2, "channel": 1}, time_points=2)
+    path = at("tiff", "imagej-rgb.tif")
+    tifffile.imwrite(path, volume("uint8", (3, 6, 7, 3)), imagej=True, photometric="rgb", metadata={"axes": "ZYXS"})
+    case(kind, "imagej-rgb", relative(path), "tifffile", colors=tifffile.imread(path), components=3)
+
+    def single_directory(name, data, description, **options):
+        """As ImageJ writes more than 4 GiB: pixels of all planes behind one directory."""
+        path = tiff(name, data[0], description=description, **options)
+        with tifffile.TiffFile(path) as file:
+            offset = file.pages[0].dataoffsets[0]
+            order = file.byteorder
+        content = path.read_bytes()[:offset]
+        path.write_bytes(content + data.astype(data.dtype.newbyteorder(order)).tobytes())
+        return path
+
+    text = "ImageJ=1.53t\nimages=3\nslices=3\nunit=mm\nspacing=3.0\nloop=false\n"
+    path = single_directory("imagej-large.tif", stack, text, byteorder=">")
+    case(kind, "imagej-large", relative(path), "tifffile", tifffile.imread(path))
+    path = single_directory("imagej-large-rgb.tif", volume("uint8", (3, 6, 7, 3)), text, photometric="rgb")
+    case(kind, "imagej-large-rgb", relative(path), "tifffile", colors=tifffile.imread(path), components=3)
+    # tifffile's shape.
+    for name, data, options in (("shaped-4", volume("uint16", (2, 3, 6, 7)), {}), ("shaped-axes", volume("uint16", (3, 2, 6, 7)), {"axes": "ZTYX"}), ("shaped-channels", volume("uint16", (3, 2, 6, 7)), {"axes": "ZCYX"})):
+        path = at("tiff", name + ".tif")
+        tifffile.imwrite(path, data, photometric="minisblack", metadata=options or {})
+        read = tifffile.imread(path)
+        if name == "shaped-4":
+            case(kind, name, relative(path), "tifffile", read[1], options={"time": 2}, time_points=2)
+        elif name == "shaped-axes":
+            case(kind, name, relative(path), "tifffile", read[:, 1], options={"time": 2}, time_points=2)
+        else:
+            case(kind, name, relative(path), "tifffile", read[:, 1], options={"channel": 2})
+    # Pages that are no slices; resolution of print.
+    path = at("tiff", "thumbnail.tif")
+    with tifffile.TiffWriter(path) as writer:
+        for n in range(3):
+            writer.write(stack[n], photometric="minisblack", metadata=None)
+        writer.write(stack[0, ::2, ::2], photometric="minisblack", metadata=None, subfiletype=1)
+    case(kind, "thumbnail", relative(path), "TIFF 6.0, NewSubfileType", stack, warns=["thumbnails"])
+    path = at("tiff", "pyramid.tif")
+    with tifffile.TiffWriter(path) as writer:
+        writer.write(stack, photometric="minisblack", metadata=None, subifds=1, tile=(16, 16))
+        for n in range(3):
+            writer.write(stack[n, ::2, ::2], photometric="minisblack", metadata=None, subfiletype=1, tile=(16, 16))
+    path = at("tiff", "resolution-inch.tif")
+    tifffile.imwrite(path, stack, photometric="minisblack", metadata=None, resolution=(300, 300), resolutionunit="inch")
+    case(kind, "resolution-inch", relative(path), "no invented spacing", tifffile.imread(path), spacing_mm=[1, 1, 1], warns=["300.000000 x 300.000000 pixels per inch", "1 mm is assumed"])
+    path = at("tiff", "resolution-cm.tif")
+    tifffile.imwrite(path, stack, photometric="minisblack", metadata=None, resolution=(200, 400), resolutionunit="centimeter")
+    case(kind, "resolution-cm", relative(path), "no invented spacing", tifffile.imread(path), warns=["0.050000 x 0.025000 mm"])
+    sizes = at("tiff", "sizes.tif")
+    with tifffile.TiffWriter(sizes) as writer:
+        for plane in (stack[0], stack[1], stack[2, :3]):
+            writer.write(plane, photometric="minisblack", metadata=None)
+    case(kind, "sizes", relative(sizes), "tifffile", stack[:2], warns=["1 pages differ in size"])
+    lsm = bytearray(512)
+    struct.pack_into("<iiiiiiii", lsm, 0, 0x00400494C, 512, 7, 6, 3, 1, 1, 2)
+    struct.pack_into("<ddd", lsm, 40, 0.5e-6, 0.25e-6, 2e-6)
+    path = tiff("stack.lsm.tif", stack, extratags=[(34412, "B", 512, bytes(lsm), True)])
+    case(kind, "lsm", relative(path), "CZ_LSMINFO", stack, spacing_mm=spacing)
+    path = single_directory("planes.stk.tif", stack, None, extratags=[(33629, "I", 3, (0, 0, 0), True)])
+    case(kind, "stk", relative(path), "MetaMorph UIC2Tag", stack)
+    path = tiff("geotiff.tif", stack, extratags=[(33550, "d", 3, (30.0, 30.0, 0.0), True), (33922, "d", 6, (0.0,) * 6, True)])
+    case(kind, "geotiff", relative(path), "tifffile", pages(path), spacing_mm=[1, 1, 1], warns=NO_SPACING)
+
+
+if __name__ == "__main__":
+    shutil.rmtree(OUT, ignore_errors=True)
+    OUT.mkdir(parents=True)
+    tiff_bits()
+    tiff_palette()
+    tiff_planes()
+    tiff_compression()
+    tiff_ome_imagej()
+    (OUT / "cases.json").write_text(json.dumps(CASES, indent=1) + "\n")
