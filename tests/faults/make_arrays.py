@@ -121,10 +121,11 @@ def tiff_bits():
         return path
 
     masks = volume(numpy.uint8, (3, 8, 21), 7) < 3
-    for name, compression in (("none", None), ("packbits", "packbits"), ("group-3", "group3"), ("group-4", "group4"), ("huffman", "tiff_ccitt")):
+    fax = {"compression": "group3"}
+    for name, options in (("none", {}), ("packbits", {"compression": "packbits"}), ("group-3", fax), ("group-3-2d", {**fax, "tiffinfo": {292: 1}}), ("group-3-fill", {**fax, "tiffinfo": {292: 4}}), ("group-3-fill-order-2", {**fax, "tiffinfo": {266: 2}}), ("group-4", {"compression": "group4"}), ("group-4-fill-order-2", {"compression": "group4", "tiffinfo": {266: 2}}), ("huffman", {"compression": "tiff_ccitt"}), ("lzw", {"compression": "tiff_lzw"})):
         frames = [Picture.fromarray(m) for m in masks]
         path = at("tiff", f"bit-{name}.tif")
-        frames[0].save(path, save_all=True, append_images=frames[1:], compression=compression)
+        frames[0].save(path, save_all=True, append_images=frames[1:], **options)
         case(kind, f"1-{name}", relative(path), "Pillow", numpy.stack([numpy.array(f) for f in masks]).astype(int), warns=NO_SPACING, not_warns=["differ"])
     path = at("tiff", "bit-bool.tif")
     tifffile.imwrite(path, masks, photometric="minisblack", metadata=None)
@@ -159,6 +160,8 @@ def tiff_bits():
 
 def palette(count, grey=False):
     n = numpy.arange(count)
+    # Of 65536 colours only a few differ, so that the file stays small.
+    n = n // 4096 * 4096 if count > 256 else n
     ramp = (n * 65535 // (count - 1)).astype(numpy.uint16)
     return numpy.stack([ramp, ramp, ramp] if grey else [ramp, ramp[::-1], (n * 65535 // (count - 1) // 3 * 2).astype(numpy.uint16)])
 
@@ -224,6 +227,11 @@ def tiff_planes():
     cmyk = volume(numpy.uint8, (1, 6, 7, 4))
     path = tiff("cmyk.tif", cmyk, photometric="separated")
     case(kind, "cmyk", relative(path), "Pillow", colors=numpy.array(Picture.open(path).convert("RGB"))[None], warns=["CMYK"])
+    smooth = numpy.add.outer(numpy.arange(24) * 4, numpy.arange(32) * 3).astype("uint8")
+    inks = Picture.merge("CMYK", [Picture.fromarray(c) for c in (smooth, smooth[::-1], smooth[:, ::-1], smooth // 4)])
+    path = at("tiff", "cmyk-jpeg.tif")
+    inks.save(path, compression="jpeg", quality=95)
+    case(kind, "cmyk-jpeg", relative(path), "Pillow", colors=numpy.array(Picture.open(path).convert("RGB"))[None], tolerance=6, warns=["CMYK"])
     ycbcr = volume(numpy.uint8, (1, 6, 7, 3))
     path = tiff("ycbcr.tif", ycbcr, photometric="ycbcr", subsampling=(1, 1))
     colors = numpy.array(Picture.frombytes("YCbCr", (7, 6), ycbcr.tobytes()).convert("RGB"))[None]
@@ -417,6 +425,9 @@ def tiff_ome_imagej():
         path.write_bytes(content + data.astype(data.dtype.newbyteorder(order)).tobytes())
         return path
 
+    text = "ImageJ=1.53t\nimages=3\nslices=3\nunit=mm\nspacing=2.0\ncf=0\nc0=-32768\nc1=1\nvunit=Gray Value\n"
+    path = tiff("imagej-calibrated.tif", stack, description=text, resolution=(1, 1), software=False)
+    case(kind, "imagej-calibrated", relative(path), "ImageJ's calibration", stack - 32768.0, warns=["calibration of ImageJ"])
     text = "ImageJ=1.53t\nimages=3\nslices=3\nunit=mm\nspacing=3.0\nloop=false\n"
     path = single_directory("imagej-large.tif", stack, text, byteorder=">")
     case(kind, "imagej-large", relative(path), "tifffile", tifffile.imread(path))
@@ -447,10 +458,14 @@ def tiff_ome_imagej():
             writer.write(stack[n, ::2, ::2], photometric="minisblack", metadata=None, subfiletype=1, tile=(16, 16))
     path = at("tiff", "resolution-inch.tif")
     tifffile.imwrite(path, stack, photometric="minisblack", metadata=None, resolution=(300, 300), resolutionunit="inch")
-    case(kind, "resolution-inch", relative(path), "no invented spacing", tifffile.imread(path), spacing_mm=[1, 1, 1], warns=["300.000000 x 300.000000 pixels per inch", "1 mm is assumed"])
+    case(kind, "resolution-inch", relative(path), "no invented spacing", tifffile.imread(path), spacing_mm=[1, 1, 1], warns=["300 x 300 pixels per inch", "1 mm is assumed"])
     path = at("tiff", "resolution-cm.tif")
     tifffile.imwrite(path, stack, photometric="minisblack", metadata=None, resolution=(200, 400), resolutionunit="centimeter")
-    case(kind, "resolution-cm", relative(path), "no invented spacing", tifffile.imread(path), warns=["0.050000 x 0.025000 mm"])
+    case(kind, "resolution-cm", relative(path), "no invented spacing", tifffile.imread(path), warns=["0.05 x 0.025 mm"])
+    path = at("tiff", "two-images.ome.tif")
+    blocks = "".join(f'<Image ID="Image:{n}"><Pixels ID="Pixels:{n}" DimensionOrder="XYZCT" Type="uint16" SizeX="7" SizeY="6" SizeZ="{2 - n}" SizeC="1" SizeT="1"><Channel ID="Channel:{n}:0" SamplesPerPixel="1"/><TiffData IFD="{2 * n}" PlaneCount="{2 - n}"/></Pixels></Image>' for n in range(2))
+    path = tiff("two-images.ome.tif", stack, description=f'<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06">{blocks}</OME>')
+    case(kind, "ome-two-images", relative(path), "tifffile", tifffile.imread(path), warns=["holds 2 images"])
     sizes = at("tiff", "sizes.tif")
     with tifffile.TiffWriter(sizes) as writer:
         for plane in (stack[0], stack[1], stack[2, :3]):
@@ -474,7 +489,9 @@ def zarr_array(name, data, axes=None, zarr_format=2, **options):
     scale = options.pop("scale", None)
     unit = options.pop("unit", "millimeter")
     extra = options.pop("attributes", {})
-    options.setdefault("chunks", tuple(min(4, n) for n in data.shape))
+    # Few files; several chunks along every axis where the order of axes matters.
+    several = name.startswith(("axes", "order"))
+    options.setdefault("chunks", tuple(min(4, n) if several or a == 0 else n for a, n in enumerate(data.shape)))
     group = path
     if axes is not None:
         group = zarr.open_group(str(path), mode="w", zarr_format=zarr_format)

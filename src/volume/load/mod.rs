@@ -239,6 +239,10 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
         )),
         (Some(name), _) => Ok(name),
         (None, Some(start)) => Ok(start),
+        (None, None) if String::from_utf8_lossy(&start).contains("<OME ") => Err(Error::file(
+            path,
+            "is OME-XML without pixels; name one of the TIFFs that it describes",
+        )),
         (None, None) => Err(Error::file(
             path,
             format!("has an unsupported format; supported: {FORMATS}"),

@@ -3,10 +3,9 @@
 //!
 //! The contiguous axis becomes i: the last one of an array in C order (`volume[z, y, x]`, as in
 //! image libraries), the first one in Fortran order (`volume[x, y, z]`, as in nibabel). Three or
-//! four u8 along the contiguous one of four axes are colours. Of four axes the slowest is time, of
-//! five the two slowest are time and channel (`volume[t, c, z, y, x]`, as in OME); axes of one entry
-//! more than that do not count. Booleans are read as 0 and 1, floats of 16 bits as 32. Source:
-//! numpy.lib.format.
+//! four u8 along the contiguous one of four or five axes are colours. Of four other axes the slowest
+//! is time, of five the two slowest are time and channel (`volume[t, c, z, y, x]`, as in OME).
+//! Booleans are read as 0 and 1, floats of 16 bits as 32. Source: numpy.lib.format.
 
 use super::ReadOptions;
 use super::ScalarType;
@@ -83,7 +82,8 @@ impl Header {
             .split(',')
             .map(str::trim)
             .filter(|w| !w.is_empty())
-            .map(|w| w.parse().ok())
+            // Python 2 wrote long integers with an L.
+            .map(|w| w.trim_end_matches('L').parse().ok())
             .collect::<Option<_>>()
             .ok_or_else(unclear)?;
         let (order, kind) = descr.split_at_checked(1).ok_or_else(unclear)?;
@@ -145,7 +145,7 @@ impl ArrayAxes {
     fn of(mut extents: Vec<usize>, scalar: ScalarType) -> Result<Self, String> {
         let stated = extents.len();
         let mut colors = 1;
-        if extents.len() == 4 && scalar == ScalarType::U8 && (3..=4).contains(&extents[0]) {
+        if matches!(extents.len(), 4 | 5) && scalar == ScalarType::U8 && (3..=4).contains(&extents[0]) {
             colors = extents.remove(0);
         }
         while extents.len() > 5 && extents.last() == Some(&1) {
@@ -338,6 +338,7 @@ mod tests {
     fn axes() {
         let of = |extents: &[usize]| ArrayAxes::of(extents.to_vec(), ScalarType::U8);
         assert_eq!(of(&[3, 5, 6, 7]).map(|a| (a.colors, a.size)), Ok((3, [5, 6, 7])));
+        assert_eq!(of(&[3, 7, 6, 5, 2]).map(|a| (a.colors, a.times)), Ok((3, 2)));
         assert_eq!(of(&[7, 6, 5, 2]).map(|a| (a.times, a.channels)), Ok((2, 1)));
         assert_eq!(of(&[7, 6, 5, 3, 2]).map(|a| (a.times, a.channels)), Ok((2, 3)));
         assert!(of(&[]).is_err());

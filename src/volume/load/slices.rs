@@ -4,8 +4,8 @@
 //! Images contain no reliable spacing (the resolution of a PNG is that of printing): voxels of 1 mm
 //! are assumed unless the caller gives a spacing. Values are those of the file: opacity beside grey
 //! values is left out, pixels are not turned by an EXIF orientation, and each is said in a notice.
-//! A PNG's colour table is resolved, because PNG has no other meaning for indices (ISO 15948, 11.2.3);
-//! grey ones become grey values.
+//! A PNG's colour table is resolved, because PNG has no other meaning for indices (ISO 15948,
+//! 11.2.3); grey ones become grey values.
 
 use super::super::StoredValues;
 use super::image::{Image, Layout, Meaning};

@@ -45,9 +45,10 @@ impl Compression {
             32773 => return Ok(Self::PackBits),
             34925 => return Ok(Self::Lzma),
             34926 | 50000 => return Ok(Self::Zstd),
-            33003 | 33004 | 33005 | 34712 => return Ok(Self::Jpeg2000),
+            33004 | 33005 | 34712 => return Ok(Self::Jpeg2000),
             6 => "old-style JPEG (compression 6)",
             9 | 10 | 34661 => "JBIG",
+            33003 => "JPEG 2000 in YCbCr (Aperio)",
             32766 => "the NeXT two-bit scheme",
             32771 => "CCITT run lengths in words",
             32809 => "ThunderScan",
@@ -192,6 +193,8 @@ impl Chunk<'_> {
             } else {
                 ColorTransform::RGB
             });
+        } else if self.samples == 4 {
+            decoder.set_color_transform(ColorTransform::CMYK);
         }
         decoder.set_max_decoding_buffer_size(self.length.saturating_mul(4).saturating_add(1 << 20));
         decoder.read_info().map_err(|e| e.to_string())?;
@@ -207,6 +210,10 @@ impl Chunk<'_> {
         }
         let mut values = decoder.decode().map_err(|e| e.to_string())?;
         values.truncate(self.length);
+        if self.samples == 4 {
+            // The decoder turns inks round.
+            values.iter_mut().for_each(|v| *v = !*v);
+        }
         Ok(values)
     }
 

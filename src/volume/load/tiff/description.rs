@@ -1,153 +1,50 @@
 //! What a TIFF says of itself beyond its pages: OME-XML, ImageJ's description, tifffile's shape,
 //! Zeiss' LSM and MetaMorph's STK.
 //!
-//! Source: OME-TIFF specification 6; ImageJ's `TiffEncoder` and `TiffDecoder` (`images=`, `slices=`,
-//! `spacing=`, `unit=`, in Java's `\u` escapes); the JSON of tifffile (`shape`, `axes`);
+//! Source: OME-TIFF specification 6; ImageJ's `TiffEncoder` and `TiffDecoder` (`images=`,
+//! `slices=`, `spacing=`, `unit=`, in Java's `\u` escapes); the JSON of tifffile (`shape`, `axes`);
 //! CZ_LSMINFO; UIC2Tag.
 //!
-//! The resolution of a plain TIFF is that of printing, or that of a camera's plane, and says nothing
-//! of the distance of slices. It is quoted in a notice and not used.
+//! The resolution of a plain TIFF is that of printing, or that of a camera's plane, and says
+//! nothing of the distance of slices. It is quoted in a notice and not used.
 
-use super::super::image::{Channel, Meaning};
 use super::directory::{Directory, TiffFile, tag};
-use super::ome::{self, PlaneBlock};
+use super::metadata::{Description, DescriptionKind, mm_of};
+use super::ome;
 use super::page::PageFormat;
 use crate::Result;
 use crate::files::input;
 use crate::files::reference::sibling_file;
+use crate::volume::Rescale;
 use serde_json::Value;
 
 /// Maximum size of a file of OME-XML, bytes.
 const MAX_XML_BYTES: u64 = 256 << 20;
 
-/// Where a description comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum DescriptionKind {
-    #[default]
-    Plain,
-    Ome,
-    ImageJ,
-    /// tifffile's JSON.
-    Shaped,
-    Lsm,
-    Stk,
-}
-
-/// A description of the pages.
-#[derive(Debug, Default, PartialEq)]
-pub(super) struct Description {
-    pub kind: DescriptionKind,
-    /// Slices, channels, times.
-    pub extents: Option<[usize; 3]>,
-    /// Which of slices (0), channels (1) and times (2) varies fastest, then next.
-    pub order: [usize; 3],
-    /// mm, along x, y, z.
-    pub spacing: [Option<f64>; 3],
-    pub colors: Vec<Option<[u8; 3]>>,
-    /// UUID of the file, and the places of its planes; empty if they are in order.
-    pub uuid: Option<String>,
-    pub planes: Vec<PlaneBlock>,
-    pub notices: Vec<String>,
-    /// The resolution that is not used, as a sentence.
-    pub unused_resolution: Option<String>,
-}
-
-impl Description {
-    pub fn new(kind: DescriptionKind) -> Self {
-        Self {
-            kind,
-            order: [0, 1, 2],
-            ..Self::default()
-        }
-    }
-
-    /// The description in the first page, which applies to all.
-    pub fn of(file: &mut TiffFile, directories: &[Directory]) -> Result<Self> {
-        let Some(first) = directories.first() else {
-            return Ok(Self::default());
+/// The description in the first page, which applies to all.
+pub(super) fn described(file: &mut TiffFile, directories: &[Directory]) -> Result<Description> {
+    let Some(first) = directories.first() else {
+        return Ok(Description::default());
+    };
+    let text = file.text(first, tag::DESCRIPTION)?;
+    Ok(if text.contains("<OME") {
+        of_ome(file, &text)?
+    } else if text.starts_with("ImageJ=") {
+        of_imagej(file, first, &text)?
+    } else if first.has(tag::LSM) {
+        of_lsm(file, first)?
+    } else if first.has(tag::STK_PLANES) {
+        let mut metadata = Description::new(DescriptionKind::Stk);
+        metadata.extents = Some([first.count(tag::STK_PLANES) as usize, 1, 1]);
+        metadata
+    } else {
+        let mut metadata = match shape_of(&text) {
+            Some((shape, axes)) => of_shape(file, first, &shape, axes.as_deref())?,
+            None => Description::new(DescriptionKind::Plain),
         };
-        let text = file.text(first, tag::DESCRIPTION)?;
-        Ok(if text.contains("<OME") {
-            of_ome(file, &text)?
-        } else if text.starts_with("ImageJ=") {
-            of_imagej(file, first, &text)?
-        } else if first.has(tag::LSM) {
-            of_lsm(file, first)?
-        } else if first.has(tag::STK_PLANES) {
-            let mut metadata = Self::new(DescriptionKind::Stk);
-            metadata.extents = Some([first.count(tag::STK_PLANES) as usize, 1, 1]);
-            metadata
-        } else {
-            let mut metadata = match shape_of(&text) {
-                Some((shape, axes)) => of_shape(file, first, &shape, axes.as_deref())?,
-                None => Self::new(DescriptionKind::Plain),
-            };
-            metadata.unused_resolution = unused_resolution(file, first)?;
-            metadata
-        })
-    }
-
-    /// Slices, channels and times of `total` pages: the declared ones if they fit, else slices
-    /// only.
-    pub fn extents_of(&mut self, total: usize) -> [usize; 3] {
-        let Some(e) = self.extents else {
-            return [total, 1, 1];
-        };
-        let declared = e.iter().try_fold(1usize, |n, &d| n.checked_mul(d));
-        let is_placed = self.planes.iter().any(|b| b.count.is_some() || b.file.is_some());
-        if declared == Some(total) || total == 1 && self.may_be_contiguous() || is_placed {
-            return e;
-        }
-        if self.kind != DescriptionKind::Shaped {
-            self.notices.push(format!(
-                "contains {total} pages, not the {} x {} x {} it declares; they are read as slices",
-                e[0], e[1], e[2]
-            ));
-        }
-        self.planes.clear();
-        [total, 1, 1]
-    }
-
-    /// Whether a single directory may be followed by the pixels of further planes.
-    pub fn may_be_contiguous(&self) -> bool {
-        matches!(
-            self.kind,
-            DescriptionKind::ImageJ | DescriptionKind::Shaped | DescriptionKind::Stk
-        )
-    }
-
-    /// Name of the format.
-    pub fn format(&self) -> &'static str {
-        match self.kind {
-            DescriptionKind::Ome => "OME-TIFF",
-            DescriptionKind::ImageJ => "ImageJ TIFF",
-            DescriptionKind::Lsm => "LSM",
-            DescriptionKind::Stk => "MetaMorph STK",
-            DescriptionKind::Plain | DescriptionKind::Shaped => "TIFF",
-        }
-    }
-
-    /// The meaning of the values with these channels and components.
-    pub fn meaning(&self, channels: usize, components: usize, is_color: bool) -> Meaning {
-        if is_color && channels == 1 {
-            return Meaning::Color;
-        }
-        if components == 1 {
-            return Meaning::Unstated;
-        }
-        let color = |c: usize| {
-            let stated = self.colors.get(c).copied().flatten();
-            stated.unwrap_or(super::super::super::colors::CHANNELS[c % 4])
-        };
-        Meaning::Channels(
-            (0..components)
-                .map(|c| Channel {
-                    color: color(c),
-                    window: None,
-                })
-                .collect(),
-        )
-    }
+        metadata.unused_resolution = unused_resolution(file, first)?;
+        metadata
+    })
 }
 
 /// OME-XML, in the file or in the one that it names.
@@ -185,12 +82,10 @@ fn unused_resolution(file: &mut TiffFile, directory: &Directory) -> Result<Optio
         pixel_length(file, directory, tag::Y_RESOLUTION)?,
     );
     Ok(x.zip(y).filter(|(x, y)| *x != 1.0 && *y != 1.0).map(|(x, y)| {
+        let [across, down, width, height] =
+            [1.0 / x, 1.0 / y, x * mm, y * mm].map(|v| (v * 1e6).round() / 1e6);
         format!(
-            "states {:.6} x {:.6} pixels per {unit} (pixels of {:.6} x {:.6} mm), which does not give the distance of slices and is not used",
-            1.0 / x,
-            1.0 / y,
-            x * mm,
-            y * mm
+            "states {across} x {down} pixels per {unit} (pixels of {width} x {height} mm), which does not give the distance of slices and is not used"
         )
     }))
 }
@@ -258,12 +153,40 @@ fn imagej(text: &str) -> (Description, [Option<String>; 3]) {
             .filter(|n| *n > 0)
     });
     metadata.extents = slices.map(|s| [s, channels, times]);
+    calibrate(&mut metadata, &get);
     metadata.spacing[2] = get("spacing")
         .and_then(|v| v.parse().ok())
         .map(f64::abs)
         .filter(|v| *v > 0.0);
     let units = ["unit", "yunit", "zunit"].map(|name| get(name).map(str::to_owned));
     (metadata, units)
+}
+
+/// ImageJ's calibration of values: `cf=0` is a straight line, as of images of signed integers,
+/// which ImageJ stores with an offset of 32768. tifffile and SimpleITK read the stored values.
+fn calibrate<'a>(metadata: &mut Description, get: &dyn Fn(&str) -> Option<&'a str>) {
+    let number = |name: &str| {
+        get(name)
+            .and_then(|v| v.parse::<f64>().ok())
+            .filter(|v| v.is_finite())
+    };
+    match get("cf") {
+        Some("0") => {
+            let (intercept, slope) = (number("c0").unwrap_or(0.0), number("c1").unwrap_or(1.0));
+            if slope != 0.0 && (slope, intercept) != (1.0, 0.0) {
+                metadata.rescale = Some(Rescale { slope, intercept });
+                metadata.notices.push(format!(
+                    "has a calibration of ImageJ (value = {slope} x stored {} {}), which is applied",
+                    if intercept < 0.0 { '-' } else { '+' },
+                    intercept.abs()
+                ));
+            }
+        }
+        Some(_) => metadata
+            .notices
+            .push("has a calibration of ImageJ that is no straight line; its stored values are read".into()),
+        None => {}
+    }
 }
 
 /// Text without Java's escapes of characters.
@@ -284,26 +207,6 @@ fn unescaped(text: &str) -> String {
         }
     }
     plain
-}
-
-/// Millimetres per unit of length.
-pub(in crate::volume::load) fn mm_of(unit: &str) -> Option<f64> {
-    Some(match unit.trim().to_lowercase().as_str() {
-        "km" | "kilometer" | "kilometre" => 1e6,
-        "m" | "meter" | "metre" => 1000.0,
-        "dm" | "decimeter" | "decimetre" => 100.0,
-        "cm" | "centimeter" | "centimetre" => 10.0,
-        "mm" | "millimeter" | "millimetre" | "millimeters" | "millimetres" => 1.0,
-        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometre" | "micrometers"
-        | "micrometres" => 1e-3,
-        "nm" | "nanometer" | "nanometre" | "nanometers" | "nanometres" => 1e-6,
-        "angstrom" | "å" => 1e-7,
-        "pm" | "picometer" | "picometre" => 1e-9,
-        "inch" | "in" => 25.4,
-        "foot" | "ft" => 304.8,
-        "yard" | "yd" => 914.4,
-        _ => return None,
-    })
 }
 
 /// Shape and names of axes in tifffile's description: JSON, or `shape=(3, 4, 5)` of older versions.

@@ -2,7 +2,8 @@
 //! Group 3 in one and two dimensions (3) and Group 4 (4).
 //!
 //! Source: ITU-T T.4 and T.6; TIFF 6.0 sections 10 and 11. The code tables are those of the crate
-//! `fax`; its own loops expect line ends that TIFFs may lack, and decode no two-dimensional Group 3.
+//! `fax`; its own loops expect line ends that TIFFs may lack, and decode no two-dimensional Group
+//! 3.
 
 use fax::maps::{Mode, black, mode, white};
 use fax::{BitReader, ByteReader};

@@ -14,19 +14,20 @@ mod color;
 mod description;
 mod directory;
 mod fax;
+mod metadata;
 mod ome;
 mod page;
 mod pages;
 mod samples;
 
-pub(super) use description::mm_of;
+pub(super) use metadata::mm_of;
 
 use super::ReadOptions;
 use super::image::Image;
 use super::planes::StatedSlice;
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result, Watch};
-use description::Description;
+use description::described;
 use directory::TiffFile;
 use glam::{DAffine3, DVec3};
 use page::PageFormat;
@@ -47,7 +48,7 @@ pub(super) fn single_page(path: &Path) -> Result<StatedSlice> {
         let (mut file, directories) = TiffFile::open(path)?;
         let slice = pages::single_page(&mut file, &directories)?;
         let format = PageFormat::of(&mut file, &directories[0])?;
-        let metadata = Description::of(&mut file, &directories)?;
+        let metadata = described(&mut file, &directories)?;
         let mut notices = format.notices(&mut file, &directories[0])?;
         notices.extend(metadata.unused_resolution);
         Ok(StatedSlice {
@@ -65,7 +66,7 @@ pub(super) fn single_page(path: &Path) -> Result<StatedSlice> {
 pub(super) fn is_part_of_image(path: &Path) -> bool {
     catch_panic(|| {
         let (mut file, directories) = TiffFile::open(path).ok()?;
-        let metadata = Description::of(&mut file, &directories).ok()?;
+        let metadata = described(&mut file, &directories).ok()?;
         Some(pages::spans_files(&metadata))
     })
     .flatten()
@@ -81,7 +82,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 /// Reads all pages; [`read`] turns a panic of a decoder into an error.
 fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let (mut file, directories) = TiffFile::open(path)?;
-    let mut metadata = Description::of(&mut file, &directories)?;
+    let mut metadata = described(&mut file, &directories)?;
     let slices = pages::slice_pages(&mut file, &directories, &mut metadata.notices)?;
     let extents = metadata.extents_of(slices.len());
     let [_, channels, times] = extents;
@@ -113,6 +114,14 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let mut image = Image::new(metadata.format(), pixels.voxels, pixels.size, world_from_voxel);
     (image.components, image.layout, image.warnings) = (pixels.components, pixels.layout, warnings);
     image.meaning = metadata.meaning(channels, pixels.components, pixels.is_color);
+    if let Some(rescale) = metadata.rescale.filter(|_| image.components == 1) {
+        image.rescale = rescale;
+    }
+    if metadata.channel_names.iter().any(|n| !n.is_empty()) {
+        image
+            .details
+            .push(("channel_names", json!(metadata.channel_names)));
+    }
     image.inverted = pixels.is_inverted && image.components == 1;
     if times > 1 {
         image.details.push(("time_points", json!(times)));

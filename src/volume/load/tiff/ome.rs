@@ -3,22 +3,8 @@
 //! Source: the OME-TIFF specification 6, "TiffData", "UUID", "BinaryOnly". Lengths without a unit
 //! are in micrometres.
 
-use super::description::{Description, DescriptionKind, mm_of};
+use super::metadata::{Description, DescriptionKind, PlaneBlock, mm_of};
 use quick_xml::events::{BytesStart, Event};
-
-/// A run of planes, as an element TiffData states it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct PlaneBlock {
-    /// Page of the first plane.
-    pub page: usize,
-    /// Slice, channel and time of the first plane.
-    pub first: [usize; 3],
-    /// Number of planes; all pages if it is not stated.
-    pub count: Option<usize>,
-    /// Name and UUID of the file that holds them.
-    pub file: Option<String>,
-    pub uuid: Option<String>,
-}
 
 /// The file whose OME-XML describes a file that has none of its own.
 pub(super) fn companion(text: &str) -> Option<String> {
@@ -90,6 +76,9 @@ pub(super) fn parse(text: &str) -> Description {
                 metadata
                     .colors
                     .push(color.map(|[r, g, b, _]| [r, g, b]).filter(|c| *c != [255; 3]));
+                metadata
+                    .channel_names
+                    .push(attribute(&event, "Name").unwrap_or_default());
                 samples = samples.max(number(&event, "SamplesPerPixel").unwrap_or(1));
             }
             "TiffData" => {

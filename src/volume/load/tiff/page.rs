@@ -247,7 +247,8 @@ impl PageFormat {
         }
     }
 
-    /// Reads the values of a page whose strips or tiles begin `shift` bytes after the stated places.
+    /// Reads the values of a page whose strips or tiles begin `shift` bytes after the stated
+    /// places.
     pub fn read(&self, file: &mut TiffFile, directory: &Directory, shift: u64) -> Result<ImageSlice> {
         self.check_held(file, 1)?;
         if self.samples < self.color_samples() {

@@ -5,9 +5,10 @@ use super::super::image::Layout;
 use super::super::planes::{ImageSlice, ImageStack};
 use super::super::source::{with_scalar, zeroed};
 use super::codec::Compression;
-use super::description::{Description, DescriptionKind};
+
 use super::directory::{Directory, MAX_PAGES, TiffFile, tag};
-use super::page::PageFormat;
+use super::metadata::{Description, DescriptionKind};
+use super::page::{PageFormat, Photometric};
 use crate::files::reference::sibling_file;
 use crate::volume::StoredValues;
 use crate::{ByteProgress, Error, Result, Watch};
@@ -261,7 +262,12 @@ impl Pages<'_> {
         let format = PageFormat::of(file, directory)?;
         format.check_held(file, wanted.iter().flatten().count() as u64)?;
         metadata.notices.extend(format.notices(file, directory)?);
-        let (stack, left_out) = self.stacked(&wanted, &format)?;
+        let (stack, left_out, opposite) = self.stacked(&wanted, &format)?;
+        if opposite > 0 {
+            metadata.notices.push(format!(
+                "in {opposite} pages black and white are the other way round than in the first; their values are read as they are"
+            ));
+        }
         if left_out > 0 && channels > 1 {
             return Err(self
                 .file
@@ -287,20 +293,21 @@ impl Pages<'_> {
                 Layout::Planar
             },
             is_color: format.is_color(),
-            is_inverted: format.photometric == super::page::Photometric::WhiteIsZero,
+            is_inverted: format.photometric == Photometric::WhiteIsZero,
         })
     }
 
-    /// Planes combined into one array, and the number of those left out because they differ from
-    /// the first one.
+    /// Planes combined into one array, the number of those left out because they differ from the
+    /// first one, and the number of those in which black and white are exchanged.
     fn stacked(
         &mut self,
         wanted: &[Option<PlacedPlane>],
         format: &PageFormat,
-    ) -> Result<(ImageStack, usize)> {
+    ) -> Result<(ImageStack, usize, usize)> {
         let mut stack = ImageStack::default();
         let meter = ByteProgress::new(self.watch, wanted.len() as u64);
-        let mut left_out = 0usize;
+        let (mut left_out, mut opposite) = (0usize, 0usize);
+        let is_white_zero = |format: &PageFormat| format.photometric == Photometric::WhiteIsZero;
         for plane in wanted {
             let slice = match plane {
                 None => self.empty(format)?,
@@ -311,13 +318,14 @@ impl Pages<'_> {
                         left_out += 1;
                         continue;
                     }
+                    opposite += usize::from(is_white_zero(&own) != is_white_zero(format));
                     own.read(file, directory, plane.shift)?
                 }
             };
             left_out += usize::from(!stack.push(slice, wanted.len()));
             meter.add(1)?;
         }
-        Ok((stack, left_out))
+        Ok((stack, left_out, opposite))
     }
 
     /// A plane of zeros.

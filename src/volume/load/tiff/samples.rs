@@ -1,5 +1,5 @@
-//! From the bytes of a strip or tile to values: byte order, predictors, and samples of any number of
-//! bits.
+//! From the bytes of a strip or tile to values: byte order, predictors, and samples of any number
+//! of bits.
 //!
 //! Source: TIFF 6.0 sections 14 (horizontal differencing) and 19 (sample formats); TIFF Technical
 //! Note 3 (floating-point predictor; floats of 16 and 24 bits as in its table).

@@ -1,8 +1,8 @@
 //! A Zarr array's metadata: shape, chunks, type and codecs, checked before anything is read or
 //! allocated.
 //!
-//! Source: Zarr specifications 2 and 3; the codecs of numcodecs. A type or codec that cannot be read
-//! is refused by its name.
+//! Source: Zarr specifications 2 and 3; the codecs of numcodecs. A type or codec that cannot be
+//! read is refused by its name.
 
 use super::super::ScalarType;
 use super::super::source::check_held;

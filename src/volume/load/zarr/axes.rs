@@ -164,7 +164,27 @@ fn stated_axes(multiscale: &Value, rank: usize) -> Result<Option<Vec<ZarrAxis>>,
             unit,
         }
     };
-    Ok(Some(stated.iter().map(axis).collect()))
+    let mut axes: Vec<ZarrAxis> = stated.iter().map(axis).collect();
+    if !["x", "y"].iter().all(|name| axes.iter().any(|a| a.name == *name)) {
+        name_by_type(&mut axes, stated);
+    }
+    Ok(Some(axes))
+}
+
+/// Names axes by their type, since their names are free: the last axes of space are z, y, x.
+fn name_by_type(axes: &mut [ZarrAxis], stated: &[Value]) {
+    let mut space = ["x", "y", "z"].iter();
+    for (axis, stated) in axes.iter_mut().zip(stated).rev() {
+        let name = match stated["type"].as_str() {
+            Some("space") => space.next().copied(),
+            Some("time") => Some("t"),
+            Some("channel") => Some("c"),
+            _ => None,
+        };
+        if let Some(name) = name {
+            name.clone_into(&mut axis.name);
+        }
+    }
 }
 
 /// Scale and translation per axis: those of the resolution, then those of the whole image.
