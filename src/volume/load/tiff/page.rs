@@ -192,6 +192,11 @@ impl PageFormat {
         }
     }
 
+    /// Bytes of a strip or tile of some rows.
+    fn chunk_bytes(&self, rows: usize) -> Option<usize> {
+        self.row.row_bytes(self.chunk[0])?.checked_mul(rows)
+    }
+
     /// Bytes of the stored pixels before compression.
     pub fn stored_bytes(&self) -> u64 {
         let row = self.row.row_bytes(self.size[0]).unwrap_or(usize::MAX) as u64;
@@ -201,7 +206,7 @@ impl PageFormat {
 
     /// Rejects a page, of which there are `count`, that the file cannot contain.
     pub fn check_held(&self, file: &TiffFile, count: u64) -> Result<()> {
-        let most = if self.compression == Compression::None {
+        let most = if self.compression == Compression::None && !self.tiled {
             // Pages may share their pixels.
             file.bytes
                 .saturating_mul(if count > 1 { MAX_COMPRESSION_RATIO } else { 1 })
@@ -414,6 +419,12 @@ impl<'a> Chunks<'a> {
             .integers(directory, offsets)?
             .ok_or_else(|| file.error("does not say where its pixels are; it is damaged"))?;
         let lengths = file.integers(directory, lengths)?.unwrap_or_default();
+        let length = format.chunk_bytes(format.chunk[1]);
+        let most = file
+            .bytes
+            .saturating_mul(MAX_COMPRESSION_RATIO)
+            .max(ALWAYS_BELIEVED);
+        check_held(&file.path, length.map_or(u64::MAX, |n| n as u64), most)?;
         let grid = [0, 1].map(|a| format.size[a].div_ceil(format.chunk[a]));
         let planes = if format.planar { format.samples } else { 1 };
         let wanted = grid[0].saturating_mul(grid[1]).saturating_mul(planes);
@@ -490,15 +501,8 @@ impl<'a> Chunks<'a> {
             )
         };
         let length = format
-            .row
-            .row_bytes(format.chunk[0])
-            .and_then(|n| n.checked_mul(rows))
+            .chunk_bytes(rows)
             .ok_or_else(|| damaged(&file.path, "it is too large"))?;
-        let most = file
-            .bytes
-            .saturating_mul(MAX_COMPRESSION_RATIO)
-            .max(ALWAYS_BELIEVED);
-        check_held(&file.path, length as u64, most)?;
         let offset = self.offsets[index];
         let stated = self.lengths.get(index).copied();
         if offset == 0 && stated.unwrap_or(0) == 0 {

@@ -3,7 +3,7 @@
 
 use super::super::image::Layout;
 use super::super::planes::{ImageSlice, ImageStack};
-use super::super::source::{with_scalar, zeroed};
+use super::super::source::{check_held, with_scalar, zeroed};
 use super::codec::Compression;
 
 use super::directory::{Directory, MAX_PAGES, TiffFile, tag};
@@ -111,6 +111,7 @@ pub(super) fn planes_of(
     }
     if pages.len() == 1 && count > 1 {
         let step = contiguous_step(file, &directories[pages[0]])?;
+        check_held(&file.path, step.saturating_mul(count as u64), file.bytes)?;
         return Ok((0..count as u64)
             .map(|n| Some(own(pages[0], step.saturating_mul(n))))
             .collect());
@@ -163,33 +164,37 @@ fn placed_planes(
             (None, Some(own_pages))
         } else {
             let path = sibling_file(&file.path, &name)?;
-            let pages = *page_counts.entry(name.clone()).or_insert_with(|| {
-                // A file that exists but cannot be read is reported when its planes are.
-                path.is_file()
-                    .then(|| TiffFile::open(&path).map_or(usize::MAX, |(_, d)| d.len()))
-            });
+            let pages = match page_counts.get(&name) {
+                Some(pages) => *pages,
+                None => {
+                    let pages = match (path.is_file(), block.count) {
+                        (false, _) => None,
+                        (true, Some(_)) => Some(usize::MAX),
+                        (true, None) => Some(TiffFile::open(&path)?.1.len()),
+                    };
+                    page_counts.insert(name.clone(), pages);
+                    pages
+                }
+            };
             (Some(path), pages)
         };
-        let first = block.first;
-        if (0..3).any(|a| first[a] >= dimensions.extents[a]) {
+        if (0..3).any(|a| block.first[a] >= dimensions.extents[a]) {
             continue;
         }
-        let first = dimensions.plane(first);
-        let number = block
-            .count
-            .or(pages.map(|n| n.saturating_sub(block.page)))
-            .unwrap_or(count);
-        for n in 0..number.min(count - first) {
-            let page = block.page.saturating_add(n);
-            if pages.is_some_and(|pages| page < pages) {
-                planes[first + n] = Some(PlacedPlane {
-                    file: path.clone(),
-                    page,
-                    shift: 0,
-                });
-            } else if pages.is_none() {
-                *missing.entry(name.clone()).or_default() += 1;
+        let first = dimensions.plane(block.first);
+        let held = pages.map(|pages| pages.saturating_sub(block.page));
+        let number = block.count.or(held).unwrap_or(count).min(count - first);
+        match held {
+            Some(held) => {
+                for n in 0..number.min(held) {
+                    planes[first + n] = Some(PlacedPlane {
+                        file: path.clone(),
+                        page: block.page + n,
+                        shift: 0,
+                    });
+                }
             }
+            None => *missing.entry(name).or_default() += number,
         }
     }
     let named: usize = missing.values().sum();
@@ -260,7 +265,7 @@ impl Pages<'_> {
         };
         let (file, directory) = self.of(&first)?;
         let format = PageFormat::of(file, directory)?;
-        format.check_held(file, wanted.iter().flatten().count() as u64)?;
+        format.check_held(file, wanted.len() as u64)?;
         metadata.notices.extend(format.notices(file, directory)?);
         let (stack, left_out, opposite) = self.stacked(&wanted, &format)?;
         if opposite > 0 {

@@ -70,7 +70,7 @@ impl StoredType {
             Value::Array(_) => return refused("structures of several fields".into()),
             other => match other["name"].as_str() {
                 Some("structured" | "struct") => return refused("structures of several fields".into()),
-                Some(name) => return refused(format!("\"{name}\"")),
+                Some(name) => name,
                 None => return refused("values of an unknown type".into()),
             },
         };
@@ -95,7 +95,8 @@ impl StoredType {
                         [b'c', ..] => " (complex numbers)",
                         [b'S' | b'U' | b'O', ..] => " (texts or objects)",
                         [b'M' | b'm', ..] => " (dates or durations)",
-                        _ if plain == "string" => " (texts)",
+                        b"string" | b"fixed_length_utf32" | b"null_terminated_bytes" => " (texts)",
+                        b"numpy.datetime64" | b"numpy.timedelta64" => " (dates or durations)",
                         _ => "",
                     };
                     return refused(format!("\"{name}\"{meaning}"));
@@ -141,7 +142,9 @@ impl ArrayLayout {
                 )));
             }
             let chunks = three["chunk_grid"]["configuration"]["chunk_shape"].clone();
-            check_codecs(&three["codecs"]).map_err(fail)?;
+            StoredType::of(&three["data_type"])
+                .and_then(|_| check_codecs(&three["codecs"]))
+                .map_err(fail)?;
             let dimension_names = names(&three["dimension_names"]);
             (
                 three["shape"].clone(),
@@ -151,7 +154,8 @@ impl ArrayLayout {
             )
         } else {
             let compressor = Value::Array(vec![two["compressor"].clone()]);
-            check_codecs(&two["filters"])
+            StoredType::of(&two["dtype"])
+                .and_then(|_| check_codecs(&two["filters"]))
                 .and_then(|()| check_codecs(&compressor))
                 .map_err(fail)?;
             let attributes = metadata(&folder.join(".zattrs"))?;
@@ -239,6 +243,17 @@ impl ArrayLayout {
         let chunk = self.chunks.iter().try_fold(value_bytes, |n, &c| n.checked_mul(c));
         check_held(path, bytes.max(chunk.unwrap_or(u64::MAX)), most)
     }
+}
+
+/// Number of axes of the array in a folder; none if it is no array.
+pub(super) fn rank_of(folder: &Path) -> Result<Option<usize>> {
+    let two = metadata(&folder.join(".zarray"))?;
+    let stated = if two.is_null() {
+        metadata(&folder.join("zarr.json"))?
+    } else {
+        two
+    };
+    Ok(stated["shape"].as_array().map(Vec::len))
 }
 
 /// Rejects a list of codecs, and of codecs within shards, that holds one that cannot be read.

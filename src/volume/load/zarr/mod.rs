@@ -253,7 +253,14 @@ impl ImageGroup {
                 "names \"{name}\", which is outside the store; its metadata are damaged"
             )));
         }
-        Ok(self.folder.join(name))
+        let folder = self.folder.join(name);
+        if folder.is_dir() {
+            Ok(folder)
+        } else {
+            Err(fail(format!(
+                "lacks the folder {name}, which its metadata name as resolution {level}; copy it again as a whole"
+            )))
+        }
     }
 
     /// Name of the format.
@@ -305,39 +312,39 @@ fn is_array(folder: &Path) -> Result<bool> {
     Ok(folder.join(".zarray").is_file() || metadata(&folder.join("zarr.json"))?["node_type"] == "array")
 }
 
-/// The only array in a group without images.
+/// The only array of at least two axes in a group without images.
 fn single_array(path: &Path, folder: &Path) -> Result<PathBuf> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "reading", e))?;
-    let mut arrays = Vec::new();
+    let (mut arrays, mut groups) = (Vec::new(), Vec::new());
     for entry in entries.flatten().map(|e| e.path()).filter(|p| p.is_dir()) {
-        if !reference::is_link_out(path, &entry) && is_array(&entry)? {
-            arrays.push(entry);
+        if reference::is_link_out(path, &entry) || !is_zarr(&entry) {
+            continue;
+        }
+        match array::rank_of(&entry)? {
+            Some(0 | 1) => {}
+            Some(_) => arrays.push(entry),
+            None => groups.push(entry),
         }
     }
-    arrays.sort();
-    match &arrays[..] {
-        [only] => Ok(only.clone()),
-        [] => Err(Error::file(
-            path,
-            "is a Zarr group without an image (no multiscales); name an image inside of it",
-        )),
-        many => {
-            let names: Vec<String> = many
-                .iter()
-                .take(8)
-                .filter_map(|p| p.file_name())
-                .map(|n| n.to_string_lossy().into_owned())
-                .collect();
-            Err(Error::file(
-                path,
-                format!(
-                    "is a Zarr group of {} arrays without an image (no multiscales); name one of the folders inside of it ({})",
-                    many.len(),
-                    names.join(", ")
-                ),
-            ))
-        }
-    }
+    let names = |mut folders: Vec<PathBuf>| {
+        folders.sort();
+        let names = folders.iter().take(8).filter_map(|p| p.file_name());
+        let names: Vec<String> = names.map(|n| n.to_string_lossy().into_owned()).collect();
+        names.join(", ")
+    };
+    let problem = match (arrays.len(), groups.len()) {
+        (1, _) => return Ok(arrays.remove(0)),
+        (0, 0) => "is a Zarr group without an image (no multiscales); name an image inside of it".into(),
+        (0, n) => format!(
+            "is a Zarr group of {n} groups without an image of its own (no multiscales); name one of the folders inside of it ({})",
+            names(groups)
+        ),
+        (n, _) => format!(
+            "is a Zarr group of {n} arrays without an image (no multiscales); name one of the folders inside of it ({})",
+            names(arrays)
+        ),
+    };
+    Err(Error::file(path, problem))
 }
 
 /// Names and colours of labels: "image-label", whose properties may have any keys.
