@@ -546,10 +546,9 @@ impl PageFormat {
             self.row.restore(row);
         }
         if self.row.is_native() {
-            let width = size_of::<T>();
-            for (value, bytes) in values.iter_mut().zip(row.chunks_exact(width)) {
-                *value = bytemuck::pod_read_unaligned(bytes);
-            }
+            let target: &mut [u8] = bytemuck::cast_slice_mut(values);
+            let length = target.len().min(row.len());
+            target[..length].copy_from_slice(&row[..length]);
         } else {
             for (value, number) in values.iter_mut().zip(self.row.numbers(row)) {
                 *value = convert(number);
