@@ -11,7 +11,7 @@ use super::ReadOptions;
 use super::ScalarType;
 use super::StoredValues;
 use super::image::{Image, Layout, Meaning};
-use super::source::{DEFLATE_LIMIT, ValueReader, buffered, check_held, count, open_file, read_error, skip};
+use super::source::{DEFLATE_LIMIT, ValueReader, check_held, count, open, open_file, read_error, skip};
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result, Watch};
 use glam::DAffine3;
@@ -173,9 +173,9 @@ impl ArrayAxes {
 
 /// Reads an array.
 pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let (mut reader, file_bytes) = buffered(path)?;
+    let (mut reader, most) = open(path)?;
     let header = Header::read(path, &mut reader)?;
-    read_values(path, header, reader, file_bytes, choice, watch)
+    read_values(path, header, reader, most, choice, watch)
 }
 
 /// Reads the only array of an archive that has at least two axes.

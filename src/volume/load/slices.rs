@@ -10,7 +10,7 @@
 use super::super::StoredValues;
 use super::image::{Image, Layout, Meaning};
 use super::planes::{ImageSlice, ImageStack, StatedSlice};
-use super::source::{check_held, open_file};
+use super::source::{GZIPPED, check_held, open_file};
 use super::{ReadOptions, tiff};
 use crate::files::reference::{is_link_out, links_left_out};
 use crate::panic_guard::catch_panic;
@@ -225,7 +225,23 @@ fn plane(path: &Path) -> Result<StatedSlice> {
         )
     };
     let (mut file, bytes) = open_file(path)?;
-    let has_table = is_indexed_png(&mut file).map_err(|e| Error::io(path, "reading", e))?;
+    let start = start_of(&mut file).map_err(|e| Error::io(path, "reading", e))?;
+    if start.starts_with(&[0x1f, 0x8b]) {
+        return Err(Error::file(path, GZIPPED));
+    }
+    let is_cmyk = if start.starts_with(&[0xff, 0xd8]) {
+        let inks = jpeg_components(&mut file).map_err(|e| Error::io(path, "reading", e))?;
+        inks.map_err(|kind| {
+            Error::file(
+                path,
+                format!("is {kind}, which cannot be read; convert it to PNG or TIFF"),
+            )
+        })? == 4
+    } else {
+        false
+    };
+    // The colour type in the header of a PNG: 3 for indices.
+    let has_table = start.starts_with(b"\x89PNG") && start.get(25) == Some(&3);
     let mut reader = image::ImageReader::new(std::io::BufReader::new(file))
         .with_guessed_format()
         .map_err(|e| Error::io(path, "reading", e))?;
@@ -252,6 +268,9 @@ fn plane(path: &Path) -> Result<StatedSlice> {
         bytes.saturating_mul(MAX_COMPRESSION_RATIO),
     )?;
     let mut notices = Vec::new();
+    if is_cmyk {
+        notices.push("stores CMYK; its colours are converted to RGB without a colour profile".into());
+    }
     let (values, components) = values_of(decoded, has_table, &mut notices);
     if orientation != Orientation::NoTransforms {
         notices.push(format!(
@@ -272,12 +291,41 @@ fn plane(path: &Path) -> Result<StatedSlice> {
     })
 }
 
-/// Whether a file is a PNG with a colour table; leaves it at its start.
-fn is_indexed_png(file: &mut File) -> std::io::Result<bool> {
+/// The first bytes of a file, up to a PNG's colour type; leaves it at its start.
+fn start_of(file: &mut File) -> std::io::Result<Vec<u8>> {
     let mut start = Vec::new();
     file.by_ref().take(26).read_to_end(&mut start)?;
     file.rewind()?;
-    Ok(start.starts_with(b"\x89PNG") && start.get(25) == Some(&3))
+    Ok(start)
+}
+
+/// Number of components in the frame header of a JPEG, 0 if it has none within its first MiB;
+/// leaves the file at its start. The kind of a JPEG that cannot be decoded is the inner error.
+fn jpeg_components(file: &mut File) -> std::io::Result<Result<u8, &'static str>> {
+    let mut start = Vec::new();
+    file.by_ref().take(1 << 20).read_to_end(&mut start)?;
+    file.rewind()?;
+    let mut at = 2;
+    while let Some(&[0xff, marker, high, low]) = start.get(at..at + 4) {
+        if marker == 0xff {
+            at += 1;
+            continue;
+        }
+        // Frame headers, apart from the tables of Huffman and arithmetic coding among them.
+        if matches!(marker, 0xc0..=0xcf | 0xf7) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
+            let (depth, components) = (start.get(at + 4), start.get(at + 9).copied().unwrap_or(0));
+            return Ok(match marker {
+                0xf7 => Err("a JPEG-LS picture"),
+                0xc3 => Err("a lossless JPEG (process 14)"),
+                0xc5..=0xc7 | 0xcd..=0xcf => Err("a hierarchical JPEG"),
+                0xc9..=0xcb => Err("a JPEG with arithmetic coding"),
+                _ if depth == Some(&12) => Err("a JPEG of 12 bits per sample"),
+                _ => Ok(components),
+            });
+        }
+        at += 2 + usize::from(u16::from_be_bytes([high, low]));
+    }
+    Ok(Ok(0))
 }
 
 /// Values of a decoded image, and their number per pixel.

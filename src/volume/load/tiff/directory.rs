@@ -2,7 +2,7 @@
 //!
 //! Source: TIFF 6.0 section 2; the BigTIFF design of libtiff (offsets of 8 bytes, magic number 43).
 
-use super::super::source::{open_file, read_error};
+use super::super::source::{GZIPPED, open_file, read_error};
 use crate::{Error, Result};
 use std::collections::HashSet;
 use std::fs::File;
@@ -155,6 +155,7 @@ impl TiffFile {
         let big_endian = match &start[..2] {
             b"II" => false,
             b"MM" => true,
+            [0x1f, 0x8b] => return Err(Error::file(path, GZIPPED)),
             _ => return Err(Error::file(path, "is not a TIFF; copy or export it again")),
         };
         let mut file = Self {
