@@ -694,8 +694,22 @@ def zarr_codecs():
         for file in sorted(store.rglob("*")):
             if file.is_file():
                 archive.writestr(zipfile.ZipInfo(str(file.relative_to(store)), (1980, 1, 1, 0, 0, 0)), file.read_bytes())
+    wrapped = at("zarr", "wrapped.zip")
+    with zipfile.ZipFile(wrapped, "w") as archive:
+        for file in sorted(store.rglob("*")):
+            if file.is_file():
+                archive.writestr(zipfile.ZipInfo(str(file.relative_to(store.parent)), (1980, 1, 1, 0, 0, 0)), file.read_bytes(), zipfile.ZIP_DEFLATED)
+    case(kind, "zip-of-folder", relative(wrapped), "zarr", data)
     shutil.rmtree(store)
-    case(kind, "zip", relative(path), "a store in a zip", error=["Zarr store in a zip"])
+    store = zarr_array("zipped-sharded.zarr", data, "zyx", 3, shards=(4, 6, 8), chunks=(2, 3, 4))
+    sharded = at("zarr", "zipped-sharded.zip")
+    with zipfile.ZipFile(sharded, "w") as archive:
+        for file in sorted(store.rglob("*")):
+            if file.is_file():
+                archive.writestr(zipfile.ZipInfo(str(file.relative_to(store)), (1980, 1, 1, 0, 0, 0)), file.read_bytes())
+    shutil.rmtree(store)
+    case(kind, "zip-sharded", relative(sharded), "zarr", data)
+    case(kind, "zip", relative(path), "zarr", data)
 
 
 def numpy_types():

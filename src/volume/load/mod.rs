@@ -32,7 +32,7 @@ use std::path::Path;
 
 /// Extensions of readable files, for messages.
 pub const FORMATS: &str = "DICOM (a file, a folder or a .zip), NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), \
-VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy, .npz), OME-Zarr (a folder) and raw data (.raw)";
+VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy, .npz), OME-Zarr (a folder or a .zip) and raw data (.raw)";
 /// Number of bytes by which a format is recognised.
 const START: u64 = 1024;
 
@@ -196,10 +196,7 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
         return Err(Error::file(path, "is empty; copy or download it again"));
     }
     match format_of(path, choice)? {
-        FileFormat::Zip if zarr::is_zipped(path) => Err(Error::file(
-            path,
-            "is a Zarr store in a zip, which is not read; unpack it and name the folder",
-        )),
+        FileFormat::Zip if zarr::is_zipped(path) => zarr::read(path, choice, watch),
         FileFormat::Dicom | FileFormat::Zip => dicom::read(path, choice, watch),
         FileFormat::Nifti => nifti::read(path, choice, watch),
         FileFormat::Nrrd => nrrd::read(path, choice, watch),

@@ -3,9 +3,9 @@
 //!
 //! The contiguous axis becomes i: the last one of an array in C order (`volume[z, y, x]`, as in
 //! image libraries), the first one in Fortran order (`volume[x, y, z]`, as in nibabel). Three or
-//! four u8 along the contiguous one of four or five axes are colours. Of four other axes the slowest
-//! is time, of five the two slowest are time and channel (`volume[t, c, z, y, x]`, as in OME).
-//! Booleans are read as 0 and 1, floats of 16 bits as 32. Source: numpy.lib.format.
+//! four u8 along the contiguous one of four or five axes are colours. Of four other axes the
+//! slowest is time, of five the two slowest are time and channel (`volume[t, c, z, y, x]`, as in
+//! OME). Booleans are read as 0 and 1, floats of 16 bits as 32. Source: numpy.lib.format.
 
 use super::ReadOptions;
 use super::ScalarType;

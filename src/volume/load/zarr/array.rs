@@ -6,8 +6,7 @@
 
 use super::super::ScalarType;
 use super::super::source::check_held;
-use super::metadata;
-use crate::files::{inputs, reference};
+use super::store::Store;
 use crate::{Error, Result};
 use serde_json::Value;
 use std::path::Path;
@@ -120,9 +119,9 @@ impl ArrayLayout {
     ///
     /// # Errors
     /// No array, damaged metadata, or a type or codec that cannot be read.
-    pub fn of(folder: &Path) -> Result<Self> {
+    pub fn of(store: &Store, folder: &Path) -> Result<Self> {
         let fail = |problem: String| Error::file(folder, problem);
-        let two = metadata(&folder.join(".zarray"))?;
+        let two = store.json(&folder.join(".zarray"))?;
         let names = |v: &Value| {
             v.as_array()?
                 .iter()
@@ -130,7 +129,7 @@ impl ArrayLayout {
                 .collect::<Option<Vec<String>>>()
         };
         let (stated, chunks, kind, dimension_names) = if two.is_null() {
-            let three = metadata(&folder.join("zarr.json"))?;
+            let three = store.json(&folder.join("zarr.json"))?;
             if three.is_null() {
                 return Err(fail(
                     "is not a Zarr array (it contains neither .zarray nor zarr.json)".into(),
@@ -158,7 +157,7 @@ impl ArrayLayout {
                 .and_then(|_| check_codecs(&two["filters"]))
                 .and_then(|()| check_codecs(&compressor))
                 .map_err(fail)?;
-            let attributes = metadata(&folder.join(".zattrs"))?;
+            let attributes = store.json(&folder.join(".zattrs"))?;
             let dimension_names = names(&attributes["_ARRAY_DIMENSIONS"]);
             (
                 two["shape"].clone(),
@@ -203,27 +202,8 @@ impl ArrayLayout {
     }
 
     /// Rejects arrays and chunks that are far larger than the existing files.
-    pub fn check(&self, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
-        let (mut there, mut files) = (0u64, 0u64);
-        for entry in walkdir::WalkDir::new(folder).into_iter().flatten() {
-            // The library reads every existing file.
-            if reference::is_link_out(path, entry.path()) {
-                let links = reference::links_left_out(&[entry.path().to_owned()]).unwrap_or_default();
-                return Err(Error::file(path, links));
-            }
-            let Ok(metadata) = std::fs::metadata(entry.path()) else {
-                continue;
-            };
-            if metadata.is_file() {
-                inputs::register(entry.path(), &metadata);
-                (there, files) = (there + metadata.len(), files + 1);
-            } else if !metadata.is_dir() {
-                return Err(Error::file(
-                    entry.path(),
-                    "is not a regular file (it is a pipe, a socket or a device), so it cannot be a chunk of the array; remove it",
-                ));
-            }
-        }
+    pub fn check(&self, store: &Store, path: &Path, folder: &Path, bytes: u64) -> Result<()> {
+        let (there, files) = store.held(path, folder)?;
         // Each chunk is looked up, whether it exists or not.
         let chunks = self
             .shape
@@ -246,10 +226,10 @@ impl ArrayLayout {
 }
 
 /// Number of axes of the array in a folder; none if it is no array.
-pub(super) fn rank_of(folder: &Path) -> Result<Option<usize>> {
-    let two = metadata(&folder.join(".zarray"))?;
+pub(super) fn rank_of(store: &Store, folder: &Path) -> Result<Option<usize>> {
+    let two = store.json(&folder.join(".zarray"))?;
     let stated = if two.is_null() {
-        metadata(&folder.join("zarr.json"))?
+        store.json(&folder.join("zarr.json"))?
     } else {
         two
     };

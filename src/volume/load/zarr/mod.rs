@@ -1,18 +1,18 @@
-//! OME-Zarr 0.1 to 0.5, a folder: one resolution of a multiscale image, with its channels in their
-//! colours, or labels with their names and colours. The axes may be stored in any order. A Zarr
-//! array without metadata about its axes is read as (t, c, z, y, x), as many as it has; names that
-//! it states itself (xarray, Zarr 3) are used.
+//! OME-Zarr 0.1 to 0.5, a folder or a zip of it: one resolution of a multiscale image, with its
+//! channels in their colours, or labels with their names and colours. The axes may be stored in any
+//! order. A Zarr array without metadata about its axes is read as (t, c, z, y, x), as many as it
+//! has; names that it states itself (xarray, Zarr 3) are used.
 //!
 //! Source: the OME-NGFF specifications 0.1 to 0.5, "multiscales", "coordinateTransformations",
 //! "omero", "image-label".
 
 mod array;
 mod axes;
+mod store;
 
 use super::image::{Channel, Image, Layout, Meaning};
 use super::source::{count, reserved, with_scalar};
 use super::{ReadOptions, StoredValues};
-use crate::files::{input, inputs, reference};
 use crate::panic_guard::catch_panic;
 use crate::volume::colors::Label;
 use crate::{ByteProgress, Error, Result, Watch};
@@ -25,37 +25,22 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use zarrs::array::{Array, ArraySubset, FromArrayBytes};
-use zarrs::filesystem::FilesystemStore;
-
-/// Maximum size of a metadata file, bytes.
-const MAX_METADATA_BYTES: u64 = 16 << 20;
+use store::{Store, StoredArray};
+use zarrs::array::{ArraySubset, FromArrayBytes};
 
 /// Whether a folder is a Zarr group or array.
 pub fn is_zarr(folder: &Path) -> bool {
-    [".zattrs", ".zgroup", ".zarray", "zarr.json"]
-        .iter()
-        .any(|n| folder.join(n).is_file())
+    store::is_zarr(folder)
 }
 
-/// The JSON of a file; null if there is no file.
-fn metadata(path: &Path) -> Result<Value> {
-    if !path.exists() {
-        return Ok(Value::Null);
-    }
-    let bytes = input::bytes(path, MAX_METADATA_BYTES, "metadata")?;
-    serde_json::from_slice(&bytes).map_err(|e| {
-        Error::file(
-            path,
-            format!("is not readable JSON ({e}); it is truncated or damaged"),
-        )
-    })
+/// Whether a zip holds a Zarr store.
+pub fn is_zipped(path: &Path) -> bool {
+    catch_panic(|| store::is_zipped(path)).unwrap_or(false)
 }
 
 /// Attributes of a group, in either version of Zarr.
-fn attributes(folder: &Path) -> Result<Value> {
-    let three = metadata(&folder.join("zarr.json"))?;
+fn attributes(store: &Store, folder: &Path) -> Result<Value> {
+    let three = store.json(&folder.join("zarr.json"))?;
     if !three.is_null() {
         let own = &three["attributes"];
         return Ok(if own["ome"].is_object() {
@@ -64,22 +49,7 @@ fn attributes(folder: &Path) -> Result<Value> {
             own.clone()
         });
     }
-    metadata(&folder.join(".zattrs"))
-}
-
-/// Whether a zip holds a Zarr store.
-pub fn is_zipped(path: &Path) -> bool {
-    catch_panic(|| {
-        let (file, _) = super::source::open_file(path).ok()?;
-        let archive = zip::ZipArchive::new(std::io::BufReader::new(file)).ok()?;
-        let is_metadata = |name: &str| {
-            let last = name.rsplit('/').next().unwrap_or("");
-            [".zattrs", ".zgroup", ".zarray", "zarr.json"].contains(&last)
-        };
-        Some(archive.file_names().flatten().any(|n| is_metadata(&n)))
-    })
-    .flatten()
-    .unwrap_or(false)
+    store.json(&folder.join(".zattrs"))
 }
 
 /// Reads an image.
@@ -95,7 +65,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let group = ImageGroup::open(path, &mut warnings)?;
     let level = choice.level.unwrap_or(0);
     let array_folder = group.resolution_folder(path, level)?;
-    let layout = ArrayLayout::of(&array_folder)?;
+    let layout = ArrayLayout::of(&group.store, &array_folder)?;
     let rank = layout.shape.len();
     let names = layout.dimension_names.clone();
     let axes = AxisPositions::of(group.multiscale(), names, rank, &mut warnings).map_err(&fail)?;
@@ -128,6 +98,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
         size,
         channels: &chosen,
         time,
+        store: &group.store,
         watch,
     }
     .read(&array_folder)?;
@@ -169,6 +140,7 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
 
 /// A folder with a multiscale image, or with an array without metadata.
 struct ImageGroup {
+    store: Store,
     folder: PathBuf,
     attributes: Value,
     /// Resolutions, full resolution first; empty for an array without metadata.
@@ -178,10 +150,13 @@ struct ImageGroup {
 impl ImageGroup {
     /// Reads the attributes; converted files have their first image one level down.
     fn open(path: &Path, warnings: &mut Vec<String>) -> Result<Self> {
-        let mut folder = path.to_owned();
-        let mut own = attributes(&folder)?;
+        let (store, root) = Store::open(path)?;
+        let mut folder = root.clone();
+        let mut own = attributes(&store, &folder)?;
         if !own["multiscales"].is_array() && own.get("bioformats2raw.layout").is_some() {
-            let images = (0..).take_while(|n| is_zarr(&path.join(n.to_string()))).count();
+            let images = (0..)
+                .take_while(|n| store.is_node(&root.join(n.to_string())))
+                .count();
             if images > 1 {
                 warnings.push(format!(
                     "holds {images} images; the first is read (name one of the folders 0 to {} to see another)",
@@ -189,7 +164,7 @@ impl ImageGroup {
                 ));
             }
             folder = folder.join("0");
-            own = attributes(&folder)?;
+            own = attributes(&store, &folder)?;
         }
         if own["plate"].is_object() || own["well"].is_object() {
             return Err(Error::file(
@@ -205,11 +180,12 @@ impl ImageGroup {
             .as_array()
             .cloned()
             .unwrap_or_default();
-        if datasets.is_empty() && !is_array(&folder)? {
-            folder = single_array(path, &folder)?;
-            own = attributes(&folder)?;
+        if datasets.is_empty() && !is_array(&store, &folder)? {
+            folder = single_array(&store, path, &folder)?;
+            own = attributes(&store, &folder)?;
         }
         Ok(Self {
+            store,
             folder,
             attributes: own,
             datasets,
@@ -254,7 +230,7 @@ impl ImageGroup {
             )));
         }
         let folder = self.folder.join(name);
-        if folder.is_dir() {
+        if self.store.is_dir(&folder) {
             Ok(folder)
         } else {
             Err(fail(format!(
@@ -266,7 +242,9 @@ impl ImageGroup {
     /// Name of the format.
     fn format(&self) -> &'static str {
         match self.multiscale()["version"].as_str() {
-            _ if self.folder.join("zarr.json").is_file() && !self.datasets.is_empty() => "OME-Zarr 0.5",
+            _ if self.store.is_file(&self.folder.join("zarr.json")) && !self.datasets.is_empty() => {
+                "OME-Zarr 0.5"
+            }
             _ if self.datasets.is_empty() => "Zarr",
             Some("0.1") => "OME-Zarr 0.1",
             Some("0.2") => "OME-Zarr 0.2",
@@ -308,19 +286,17 @@ impl ImageGroup {
 }
 
 /// Whether a folder is an array.
-fn is_array(folder: &Path) -> Result<bool> {
-    Ok(folder.join(".zarray").is_file() || metadata(&folder.join("zarr.json"))?["node_type"] == "array")
+fn is_array(store: &Store, folder: &Path) -> Result<bool> {
+    let is_three = || Ok(store.json(&folder.join("zarr.json"))?["node_type"] == "array");
+    Ok(store.is_file(&folder.join(".zarray")) || is_three()?)
 }
 
 /// The only array of at least two axes in a group without images.
-fn single_array(path: &Path, folder: &Path) -> Result<PathBuf> {
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "reading", e))?;
+fn single_array(store: &Store, path: &Path, folder: &Path) -> Result<PathBuf> {
     let (mut arrays, mut groups) = (Vec::new(), Vec::new());
-    for entry in entries.flatten().map(|e| e.path()).filter(|p| p.is_dir()) {
-        if reference::is_link_out(path, &entry) || !is_zarr(&entry) {
-            continue;
-        }
-        match array::rank_of(&entry)? {
+    let folders = store.folders(path, folder)?;
+    for entry in folders.into_iter().filter(|f| store.is_node(f)) {
+        match array::rank_of(store, &entry)? {
             Some(0 | 1) => {}
             Some(_) => arrays.push(entry),
             None => groups.push(entry),
@@ -385,6 +361,7 @@ struct Selection<'a> {
     size: [usize; 3],
     channels: &'a [usize],
     time: usize,
+    store: &'a Store,
     watch: &'a Watch<'a>,
 }
 
@@ -394,8 +371,9 @@ impl Selection<'_> {
         let (path, [width, height, depth]) = (self.path, self.size);
         let scalar = self.layout.stored.scalar();
         let total = count(path, &[width, height, depth, self.channels.len()], scalar)?;
-        self.layout.check(path, folder, (total * scalar.bytes()) as u64)?;
-        let array = self.open(folder)?;
+        let bytes = (total * scalar.bytes()) as u64;
+        self.layout.check(self.store, path, folder, bytes)?;
+        let array = self.store.array(path, folder)?;
         let voxels: StoredValues = match self.layout.stored {
             StoredType::Scalar(scalar) => with_scalar!(scalar, T => {
                 self.values::<T, T>(&array, total, |v| v)?.into()
@@ -413,12 +391,7 @@ impl Selection<'_> {
     }
 
     /// Values in the order of storage, channel after channel.
-    fn values<S: Copy, T>(
-        &self,
-        array: &Array<FilesystemStore>,
-        total: usize,
-        convert: fn(S) -> T,
-    ) -> Result<Vec<T>>
+    fn values<S: Copy, T>(&self, array: &StoredArray, total: usize, convert: fn(S) -> T) -> Result<Vec<T>>
     where
         Vec<S>: FromArrayBytes,
     {
@@ -461,21 +434,6 @@ impl Selection<'_> {
             .reshaped((self.channels.len(), extents[0], extents[1], extents[2]))
             .permuted(Ix4(0, source(0), source(1), source(2)))
             .reshaped(total)
-    }
-
-    /// Opens the array in a folder.
-    fn open(&self, folder: &Path) -> Result<Array<FilesystemStore>> {
-        let fail = |problem: String| Error::file(self.path, problem);
-        // Its metadata and chunks, existing or not.
-        inputs::note_path(self.path);
-        if folder.to_str().is_none() {
-            return Err(fail(
-                "has a path that is not UTF-8, which OME-Zarr requires; rename it".into(),
-            ));
-        }
-        let store = FilesystemStore::new(folder).map_err(|e| fail(format!("cannot be opened ({e})")))?;
-        Array::open(Arc::new(store), "/")
-            .map_err(|e| fail(format!("holds an array that cannot be read ({e})")))
     }
 
     /// Some layers, along the slowest axis of space, of a channel.
