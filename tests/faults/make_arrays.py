@@ -387,6 +387,11 @@ def tiff_ome_imagej():
     case(kind, "ome-missing", relative(path), "OME-TIFF 6", hole, warns=["z1.ome.tif"])
     path = several("ome-outside", [0], blocks='<TiffData FirstZ="0" IFD="0"/><TiffData FirstZ="1" IFD="0"><UUID FileName="../../outside.tif">urn:uuid:9</UUID></TiffData><TiffData FirstZ="2" IFD="0"><UUID FileName="b.tif">urn:uuid:8</UUID></TiffData>')
     case(kind, "ome-outside", relative(path), "no file outside of its folder", error=["outside.tif"])
+    for c in range(2):
+        blocks = "".join(f'<TiffData FirstC="{n}" IFD="0" PlaneCount="3"><UUID FileName="c{n}.ome.tif">urn:uuid:00000000-0000-0000-0000-00000000000{n}</UUID></TiffData>' for n in range(2))
+        text = f'<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-00000000000{c}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="7" SizeY="6" SizeZ="3" SizeC="2" SizeT="1"><Channel ID="Channel:0:0" SamplesPerPixel="1"/><Channel ID="Channel:0:1" SamplesPerPixel="1"/>{blocks}</Pixels></Image></OME>'
+        path = tiff(f"ome-channels/c{c}.ome.tif", stack + 1000 * c, description=text)
+    case(kind, "ome-file-per-channel", "tiff/ome-channels/c0.ome.tif", "tifffile", stack + 1000, options={"channel": 2}, not_warns=["missing"])
     binary = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-000000000000"><BinaryOnly MetadataFile="all.companion.ome" UUID="urn:uuid:5"/></OME>'
     path = several("ome-companion", [0, 1, 2], description=binary)
     text = tifffile.TiffFile(at("tiff", "ome-several", names[0])).pages[0].description
@@ -579,7 +584,7 @@ def zarr_axes():
         read = numpy.transpose(read, [order.index(a) for a in "zyx" if a in order])
         read = read.reshape((1,) * (3 - read.ndim) + read.shape)
         spacing = [0.5, 0.25, 2.0 if "z" in axes else 1.0]
-        case(kind, axes, relative(path), "zarr", read, spacing_mm=spacing, **({"options": options} if options else {}))
+        case(kind, axes, relative(path), "zarr", read, spacing_mm=spacing, **({"options": options} if options else {}), **({} if "z" in axes else {"warns": ["thickness of 1 mm"]}))
     data = volume("uint16", (3, 6, 7), 60013)
     read = data.astype(float)
     path = zarr_array("units-um.zarr", data, "zyx", scale=[2.0, 0.25, 0.5], unit="micrometer")

@@ -110,6 +110,9 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     if scale.is_none() && choice.spacing.is_none() {
         warnings.push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
     }
+    if scale.is_some() && axes.z.is_none() && choice.spacing.is_none() {
+        warnings.push("has no axis z; a thickness of 1 mm is assumed (use --spacing to set it)".into());
+    }
     let linear = DMat3::from_diagonal(scale.map_or(DVec3::ONE, |scale| axes.in_mm(&scale, 1.0)));
     let world_from_voxel = DAffine3 {
         matrix3: linear,
