@@ -391,7 +391,10 @@ def tiff_ome_imagej():
         blocks = "".join(f'<TiffData FirstC="{n}" IFD="0" PlaneCount="3"><UUID FileName="c{n}.ome.tif">urn:uuid:00000000-0000-0000-0000-00000000000{n}</UUID></TiffData>' for n in range(2))
         text = f'<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-00000000000{c}"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="7" SizeY="6" SizeZ="3" SizeC="2" SizeT="1"><Channel ID="Channel:0:0" SamplesPerPixel="1"/><Channel ID="Channel:0:1" SamplesPerPixel="1"/>{blocks}</Pixels></Image></OME>'
         path = tiff(f"ome-channels/c{c}.ome.tif", stack + 1000 * c, description=text)
-    case(kind, "ome-file-per-channel", "tiff/ome-channels/c0.ome.tif", "tifffile", stack + 1000, options={"channel": 2}, not_warns=["missing"])
+    case(kind, "ome-file-per-channel", "tiff/ome-channels/c0.ome.tif", "tifffile", stack + 1000, options={"channel": 2}, not_warns=["is missing;"])
+    text = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="uint8" SizeX="7" SizeY="6" SizeZ="3" SizeC="3" SizeT="1"><Channel ID="Channel:0:0"/><TiffData/></Pixels></Image></OME>'
+    path = tiff("rgb-uncounted.ome.tif", volume("uint8", (3, 6, 7, 3)), photometric="rgb", description=text)
+    case(kind, "ome-rgb-uncounted", relative(path), "tifffile's pages", colors=pages(path), components=3, not_warns=["declares"])
     binary = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-000000000000"><BinaryOnly MetadataFile="all.companion.ome" UUID="urn:uuid:5"/></OME>'
     path = several("ome-companion", [0, 1, 2], description=binary)
     text = tifffile.TiffFile(at("tiff", "ome-several", names[0])).pages[0].description

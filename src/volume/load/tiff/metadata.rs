@@ -61,13 +61,21 @@ impl Description {
         }
     }
 
-    /// Slices, channels and times of `total` pages: the declared ones if they fit, else slices
-    /// only.
-    pub fn extents_of(&mut self, total: usize) -> [usize; 3] {
-        let Some(e) = self.extents else {
+    /// Slices, channels and times of `total` pages with `samples` values per pixel: the declared
+    /// ones if they fit, else slices only.
+    pub fn extents_of(&mut self, total: usize, samples: usize) -> [usize; 3] {
+        let Some(mut e) = self.extents else {
             return [total, 1, 1];
         };
-        let declared = e.iter().try_fold(1usize, |n, &d| n.checked_mul(d));
+        let planes = |e: [usize; 3]| e.iter().try_fold(1usize, |n, &d| n.checked_mul(d));
+        // OME-XML may count the samples of a pixel as channels without saying so.
+        if self.kind == DescriptionKind::Ome && planes(e) != Some(total) && e[1].is_multiple_of(samples) {
+            let merged = [e[0], e[1] / samples, e[2]];
+            if planes(merged) == Some(total) {
+                e = merged;
+            }
+        }
+        let declared = planes(e);
         let is_placed = self.planes.iter().any(|b| b.count.is_some() || b.file.is_some());
         if declared == Some(total) || total == 1 && self.may_be_contiguous() || is_placed {
             return e;

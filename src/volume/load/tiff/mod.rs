@@ -84,7 +84,9 @@ fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Im
     let (mut file, directories) = TiffFile::open(path)?;
     let mut metadata = described(&mut file, &directories)?;
     let slices = pages::slice_pages(&mut file, &directories, &mut metadata.notices)?;
-    let extents = metadata.extents_of(slices.len());
+    let first = slices.first().and_then(|page| directories.get(*page));
+    let samples = first.and_then(|directory| PageFormat::of(&mut file, directory).ok());
+    let extents = metadata.extents_of(slices.len(), samples.map_or(1, |format| format.samples));
     let [_, channels, times] = extents;
     let time = choice.time_of(times)?;
     if times > 1 && choice.time.is_none() {
