@@ -426,7 +426,7 @@ impl Workstation {
     pub fn choose_file_to_open(&mut self) {
         const VOLUMES: &[&str] = &[
             "gz", "nii", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "tiff", "png", "jpg", "jpeg",
-            "npy", "raw", "dcm", "dicom", "ima", "zip", "hdr", "img",
+            "npy", "npz", "raw", "dcm", "dicom", "ima", "zip", "hdr", "img",
         ];
         self.files.open_dialog(
             FilePurpose::Open,

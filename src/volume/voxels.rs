@@ -262,6 +262,11 @@ impl<D: Dimension> TypedArray<D> {
         of_same_type!(self, v => standard(v.index_axis(axis, index)))
     }
 
+    /// The first `count` indices of an axis.
+    pub(super) fn first_of(&self, axis: Axis, count: usize) -> Self {
+        of_same_type!(self, v => standard(v.slice_axis(axis, ndarray::Slice::from(..count))))
+    }
+
     /// The name of the type, as printed by `info`.
     pub fn type_name(&self) -> &'static str {
         match self {

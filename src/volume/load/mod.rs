@@ -32,7 +32,7 @@ use std::path::Path;
 
 /// Extensions of readable files, for messages.
 pub const FORMATS: &str = "DICOM (a file, a folder or a .zip), NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd), \
-VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy), OME-Zarr (a folder) and raw data (.raw)";
+VTK (.vti, .vtk), TIFF, PNG, JPEG (one, or a folder of slices), NumPy (.npy, .npz), OME-Zarr (a folder or a .zip) and raw data (.raw)";
 /// Number of bytes by which a format is recognised.
 const START: u64 = 1024;
 
@@ -48,6 +48,7 @@ enum FileFormat {
     Tiff,
     Picture,
     Npy,
+    Npz,
     Zip,
     Raw,
 }
@@ -65,6 +66,7 @@ impl FileFormat {
             Self::Tiff => "TIFF (.tif)",
             Self::Picture => "a picture (.png or .jpg)",
             Self::Npy => "NumPy (.npy)",
+            Self::Npz => "NumPy arrays (.npz)",
             Self::Zip => "a zip (.zip)",
             Self::Raw => "raw data (.raw)",
         }
@@ -83,6 +85,7 @@ impl FileFormat {
             () if ends(&[".tif", ".tiff"]) => Self::Tiff,
             () if ends(&[".png", ".jpg", ".jpeg"]) => Self::Picture,
             () if ends(&[".npy"]) => Self::Npy,
+            () if ends(&[".npz"]) => Self::Npz,
             () if ends(&[".dcm", ".dicom", ".ima"]) => Self::Dicom,
             () if ends(&[".zip"]) => Self::Zip,
             () if ends(&[".raw", ".raw.gz"]) => Self::Raw,
@@ -193,6 +196,7 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
         return Err(Error::file(path, "is empty; copy or download it again"));
     }
     match format_of(path, choice)? {
+        FileFormat::Zip if zarr::is_zipped(path) => zarr::read(path, choice, watch),
         FileFormat::Dicom | FileFormat::Zip => dicom::read(path, choice, watch),
         FileFormat::Nifti => nifti::read(path, choice, watch),
         FileFormat::Nrrd => nrrd::read(path, choice, watch),
@@ -202,6 +206,7 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
         FileFormat::Tiff => tiff::read(path, choice, watch),
         FileFormat::Picture => slices::read(path, choice, watch),
         FileFormat::Npy => npy::read(path, choice, watch),
+        FileFormat::Npz => npy::read_archive(path, choice, watch),
         FileFormat::Raw => raw::read(path, choice, watch),
     }
 }
@@ -216,6 +221,7 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
     match (by_name, by_start) {
         // Raw values may resemble any format; the second file of a pair contains only values.
         (Some(FileFormat::Raw), _) => Ok(FileFormat::Raw),
+        (Some(FileFormat::Npz), Some(FileFormat::Zip)) => Ok(FileFormat::Npz),
         (Some(FileFormat::Nifti), Some(_))
             if path.to_string_lossy().to_ascii_lowercase().contains(".img") =>
         {
@@ -230,6 +236,10 @@ fn format_of(path: &Path, choice: &ReadOptions) -> Result<FileFormat> {
         )),
         (Some(name), _) => Ok(name),
         (None, Some(start)) => Ok(start),
+        (None, None) if String::from_utf8_lossy(&start).contains("<OME ") => Err(Error::file(
+            path,
+            "is OME-XML without pixels; name one of the TIFFs that it describes",
+        )),
         (None, None) => Err(Error::file(
             path,
             format!("has an unsupported format; supported: {FORMATS}"),

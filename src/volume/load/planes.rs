@@ -9,6 +9,19 @@ pub(super) struct ImageSlice {
     pub values: StoredValues,
 }
 
+/// One slice, and what its file states of it.
+pub(super) struct StatedSlice {
+    pub slice: ImageSlice,
+    /// Whether its components are red, green, blue and perhaps opacity.
+    pub is_color: bool,
+    /// Whether low values are bright.
+    pub is_inverted: bool,
+    /// mm, along x, y, z.
+    pub spacing: [Option<f64>; 3],
+    /// Sentences about the file.
+    pub notices: Vec<String>,
+}
+
 /// A stack of slices, stored as one array.
 #[derive(Default)]
 pub(super) struct ImageStack {

@@ -15,6 +15,8 @@ use std::path::Path;
 
 /// Maximum compression ratio of bzip2: 900 kB of one byte take 46 bytes.
 pub(super) const BZIP2_LIMIT: u64 = 25_000;
+/// The problem with a compressed file of a format that is read only as it is.
+pub(super) const GZIPPED: &str = "is compressed with gzip; unpack it and name the unpacked file";
 /// Number of bytes after the values of a compressed stream that are read to check its end.
 const MAX_TRAILING_BYTES: u64 = 1 << 24;
 
