@@ -201,7 +201,7 @@ const FOLDERS: [&str; 6] = [
 ];
 
 /// One file of each format and compression.
-const SEEDS: [&str; 44] = [
+const SEEDS: [&str; 46] = [
     "itk.nii",
     "itk.nii.gz",
     "nib2.nii.gz",
@@ -232,6 +232,8 @@ const SEEDS: [&str; 44] = [
     "../JPEG-LL.dcm",
     "../emri_small_RLE.dcm",
     "../structures.dcm",
+    "../array.npz",
+    "../array.zarr.zip",
     "../../../faults/listed/F01a-un-undefined-length/un.dcm",
     "../../../faults/listed/F06-rt-dose/dose.dcm",
     "../../../faults/listed/F07-nrrd-gzip-byte-skip/bs.nrrd",

@@ -138,7 +138,8 @@ fn main() {
         one_phantom_in_every_format, scans_are_what_peers_read, real_series_have_their_geometry,
         orientations_are_one_world, series_are_listed_and_chosen, loads_are_watched, several_values_per_voxel,
         a_gigabyte_needs_little_more));
-    all.extend(trials!(faults: listed_files, dicom_files, contours));
+    all.extend(trials!(faults:
+        listed_files, dicom_files, contours, arrays, headers_meshes_and_transforms));
     all.extend(trials!(dicom_out:
         an_oblique_tilted_grid_comes_back, values_come_back, no_patient_without_the_option,
         the_same_input_gives_the_same_bytes, a_picture_is_that_of_the_png, cuts_are_padding,

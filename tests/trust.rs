@@ -208,7 +208,7 @@ const READERS: &[Reader] = &[
         words: "info IN",
         endings: &[
             "nii", "nii.gz", "hdr", "img", "nrrd", "nhdr", "mha", "mhd", "vti", "vtk", "tif", "png", "jpg",
-            "npy", "dcm", "zip", "unknown",
+            "npy", "npz", "dcm", "zip", "unknown",
         ],
     },
     Reader {
