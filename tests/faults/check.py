@@ -8,7 +8,7 @@ has a `kind`, a `name`, a `path` below the folder, `options` of the reader, the 
 is right, and what must come out, each optional:
 
     volume     size, components, spacing_mm, origin_mm, direction, modality, time_points, series,
-               labels, description: as `incise info --json` shows them
+               labels, description, count (of voxels, by label): as `incise info --json` shows them
                values [[i, j, k, value], ...]: `incise bake`
                colors [[i, j, k, [r, g, b]], ...]: `incise bake --channel 1..3`
     mesh       triangles, vertices, volume_mm3: `incise info --json`
@@ -170,6 +170,7 @@ class Case:
         self.expect("time_points", report.get("time_points", 1), exact)
         self.expect("series", series_count(report), exact)
         self.expect("description", report.get("series", {}).get("description"), exact)
+        self.expect("count", report.get("label_voxels"), lambda f, e: f is not None and e.items() <= f.items())
         self.expect("volume_mm3", report.get("volume_mm3"), lambda f, e: near(f, e, 1e-4, 1e-6))
         self.wrong += labels_differ(report.get("label_names"), self.take("labels") or {})
         self.check_warnings(report.get("warnings", []))
