@@ -1,7 +1,7 @@
-//! Parameter files of elastix (`TransformParameters.0.txt`): lines of `(Name value ...)`. A transform
-//! maps a point of the fixed image to the moving image, in LPS; its numbers are those of ITK's classes.
-//! `InitialTransformParametersFileName` names the transform that is applied before it. Source: elastix
-//! manual, and `WriteToFile` of its transforms.
+//! Parameter files of elastix (`TransformParameters.0.txt`): lines of `(Name value ...)`. A
+//! transform maps a point of the fixed image to the moving image, in LPS; its numbers are those of
+//! ITK's classes. `InitialTransformParametersFileName` names the transform that is applied before
+//! it. Source: elastix manual, and `WriteToFile` of its transforms.
 
 use super::Transform;
 use super::itk::{ItkTransform, step};
