@@ -173,6 +173,7 @@ impl Library {
         let (moving, reference) = (grid_of("moving")?, grid_of("reference")?);
         let own = self.volume.as_deref().map(Volume::geometry);
         let mut whole: Option<Transform> = None;
+        let single = paths.len() == 1;
         for path in paths {
             let path = self.path(&path);
             let ending = path
@@ -185,7 +186,8 @@ impl Library {
                 TransformContext {
                     moving: moving.or(own),
                     reference: reference.or(own),
-                    convention,
+                    // In a chain the setting is about the vectors.
+                    convention: convention.filter(|_| single),
                 }
             } else {
                 TransformContext {

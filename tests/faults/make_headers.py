@@ -15,7 +15,16 @@ import sys
 
 from header_cases.base import Cases
 
-MODULES = ("nrrd_files", "segmentations", "nifti_files", "metaimages", "polygons", "meshes", "itk", "other_transforms")
+MODULES = (
+    "nrrd_files",
+    "segmentations",
+    "nifti_files",
+    "metaimages",
+    "polygons",
+    "meshes",
+    "itk",
+    "other_transforms",
+)
 
 
 def main():

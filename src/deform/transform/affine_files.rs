@@ -1,4 +1,5 @@
-//! Affine matrices of FreeSurfer, AFNI, FSL, MRtrix and MINC. `mod.rs` has the table of directions and spaces.
+//! Affine matrices of FreeSurfer, AFNI, FSL, MRtrix and MINC. `mod.rs` has the table of directions
+//! and spaces.
 
 use super::numbers::{number, numbers};
 use super::{SUPPORTED, Transform, TransformContext, world_from_fsl};
@@ -28,7 +29,8 @@ pub(super) fn read(path: &Path, name: &str, text: &str, context: &TransformConte
     match numbers.as_deref() {
         Some(v) if v.len() == 12 || v.len() == 16 && last_row(v) => {
             let m = invertible(path, matrix(v))?;
-            // MRtrix and NiftyReg write a matrix of scanner coordinates as FSL writes its own.
+            // MRtrix, NiftyReg and greedy write a matrix of scanner coordinates as FSL writes its
+            // own.
             let by_mrtrix = text
                 .lines()
                 .any(|l| l.starts_with('#') && (l.contains("mrtrix") || l.contains("command_history")));
@@ -96,7 +98,7 @@ fn fsl(path: &Path, reference_from_moving: DAffine3, context: &TransformContext)
     let (Some(moving), Some(reference)) = (context.moving, context.reference) else {
         return Err(Error::file(
             path,
-            "is an FSL matrix, which cannot be interpreted without its images; name them with moving=FILE and reference=FILE (for a matrix of scanner coordinates, as MRtrix and NiftyReg write, set convention=ras)",
+            "is an FSL matrix, which cannot be interpreted without its images; name them with moving=FILE and reference=FILE (for a matrix of scanner coordinates, as MRtrix, NiftyReg and greedy write, set convention=ras)",
         ));
     };
     let source_from_deformed =
@@ -104,8 +106,8 @@ fn fsl(path: &Path, reference_from_moving: DAffine3, context: &TransformContext)
     Ok(Transform::affine(source_from_deformed))
 }
 
-/// FreeSurfer's `register.dat`: moving from target coordinates, both of tkregister: millimetres from
-/// the middle of the grid along right, anterior and superior, whatever the grid's axes are.
+/// FreeSurfer's `register.dat`: moving from target coordinates, both of tkregister: millimetres
+/// from the middle of the grid along right, anterior and superior, whatever the grid's axes are.
 fn register_dat(path: &Path, text: &str, context: &TransformContext) -> Result<Transform> {
     // A name, two voxel sizes and an intensity, the matrix, and a word.
     let rows: Vec<Vec<f64>> = text
@@ -147,9 +149,9 @@ fn world_from_tkregister(grid: &GridGeometry) -> DAffine3 {
     grid.world_from_voxel * tkregister_from_voxel.inverse()
 }
 
-/// MNI's transform file (`.xfm` of MINC and FreeSurfer): linear transforms of RAS millimetres, from the
-/// source volume to the target, one after the other. ITK writes its own matrices into this format, in
-/// LPS and from fixed to moving.
+/// MNI's transform file (`.xfm` of MINC and FreeSurfer): linear transforms of RAS millimetres, from
+/// the source volume to the target, one after the other. ITK writes its own matrices into this
+/// format, in LPS and from fixed to moving.
 fn mni(path: &Path, text: &str) -> Result<Transform> {
     let fail = |problem: String| Error::file(path, problem);
     let by_itk = text.lines().any(|l| l.trim_start().starts_with("%ITK"));

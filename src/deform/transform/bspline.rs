@@ -1,11 +1,11 @@
-//! ITK's B-spline transform: a displacement made of B-splines of order 1 to 3, mostly cubic ones, on
-//! a coarse grid of coefficients (Rueckert et al. 1999).
+//! ITK's B-spline transform: a displacement made of B-splines of order 1 to 3, mostly cubic ones,
+//! on a coarse grid of coefficients (Rueckert et al. 1999).
 
 use crate::volume::GridGeometry;
 use glam::{DAffine3, DVec3, Vec3};
 
-/// Coefficients on their grid. As in ITK, nothing moves where the coefficients around a point (4x4x4
-/// for cubic splines) are incomplete.
+/// Coefficients on their grid. As in ITK, nothing moves where the coefficients around a point
+/// (4x4x4 for cubic splines) are incomplete.
 pub struct BSplineGrid {
     /// The grid of the coefficients.
     pub grid: GridGeometry,

@@ -1,7 +1,7 @@
-//! Parameter files of elastix (`TransformParameters.0.txt`): lines of `(Name value ...)`. A transform
-//! maps a point of the fixed image to the moving image, in LPS; its numbers are those of ITK's classes.
-//! `InitialTransformParametersFileName` names the transform that is applied before it. Source: elastix
-//! manual, and `WriteToFile` of its transforms.
+//! Parameter files of elastix (`TransformParameters.0.txt`): lines of `(Name value ...)`. A
+//! transform maps a point of the fixed image to the moving image, in LPS; its numbers are those of
+//! ITK's classes. `InitialTransformParametersFileName` names the transform that is applied before
+//! it. Source: elastix manual, and `WriteToFile` of its transforms.
 
 use super::Transform;
 use super::itk::{ItkTransform, step};
@@ -161,10 +161,10 @@ impl Fields {
         let (mut origin, index) = (get("GridOrigin", 3, &[])?, get("GridIndex", 3, &[0.0; 3])?);
         let d = get("GridDirection", 9, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])?;
         let rows = [d[0], d[3], d[6], d[1], d[4], d[7], d[2], d[5], d[8]];
-        for axis in 0..3 {
-            for row in 0..3 {
-                origin[row] += rows[3 * row + axis] * spacing[axis] * index[axis];
-            }
+        for (row, first) in origin.iter_mut().enumerate() {
+            *first += (0..3)
+                .map(|axis| rows[3 * row + axis] * spacing[axis] * index[axis])
+                .sum::<f64>();
         }
         Ok([&size[..], &origin, &spacing, &rows].concat())
     }

@@ -83,6 +83,11 @@ impl VectorField {
         let convention = match (context.convention, image.frame, image.intent) {
             (Some(c), _, _) => c,
             (None, Some(_), _) => "frame",
+            (None, None, _) if image.intent_name.starts_with("Velocit") => {
+                return Err(fail(
+                    "holds velocities, not displacements; integrate them first (SPM: Deformations, Dartel flow)".into(),
+                ));
+            }
             (None, None, VECTOR_LPS) if image.intent_name == SPM_MAPPING => "ras-absolute",
             (None, None, VECTOR_LPS) => "lps",
             (None, None, DISPLACEMENT_RAS) => "ras",

@@ -6,8 +6,8 @@ pub(super) fn number(word: &str) -> Option<f64> {
     word.parse().ok().or_else(|| hexadecimal(word))
 }
 
-/// The numbers of a text, separated by white space, commas, semicolons or brackets; lines that begin
-/// with `#` or `%` are comments. None if any other word occurs, or more than `most` numbers.
+/// The numbers of a text, separated by white space, commas, semicolons or brackets; lines that
+/// begin with `#` or `%` are comments. None if any other word occurs, or more than `most` numbers.
 pub(super) fn numbers(text: &str, most: usize) -> Option<Vec<f64>> {
     let words = text
         .lines()

@@ -1,7 +1,7 @@
 //! GIfTI surfaces (`.gii`): XML with one array of points and one of triangles, by quick-xml, base64
-//! and flate2; arrays may lie in another file. RAS, as in the whole NIfTI family: x and y are negated on
-//! reading. Points in a space of their own are moved to the scanner's if the file has the matrix.
-//! Source: GIFTI Surface Data Format, version 1.0.
+//! and flate2; arrays may lie in another file. RAS, as in the whole NIfTI family: x and y are
+//! negated on reading. Points in a space of their own are moved to the scanner's if the file has
+//! the matrix. Source: GIFTI Surface Data Format, version 1.0.
 
 use super::MeshFileContents;
 use crate::Error;
@@ -159,8 +159,8 @@ impl GiftiArray {
         }
     }
 
-    /// The points in LPS. They are in the array's own space; if that is not the scanner's but a matrix
-    /// leads there, it is applied. Matrices to templates are not.
+    /// The points in LPS. They are in the array's own space; if that is not the scanner's but a
+    /// matrix leads there, it is applied. Matrices to templates are not.
     fn points(&self, path: Option<&Path>, warnings: &mut Vec<String>) -> Result<Vec<Vec3>, String> {
         let to_scanner = self.spaces.iter().find(|s| s.to == SCANNER && s.from != SCANNER);
         let scanner_from_own = to_scanner.map_or(Ok(DAffine3::IDENTITY), Space::matrix)?;

@@ -1,6 +1,7 @@
-//! Wavefront OBJ: its vertices and faces. Our own reader: only the shape matters, so that an invalid
-//! line about materials, or a name in another encoding, is no reason to reject a file; and polygons
-//! must keep their corners to be divided correctly. Source: Wavefront, "Object Files (.obj)", 1995.
+//! Wavefront OBJ: its vertices and faces. Our own reader: only the shape matters, so that an
+//! invalid line about materials, or a name in another encoding, is no reason to reject a file; and
+//! polygons must keep their corners to be divided correctly. Source: Wavefront, "Object Files
+//! (.obj)", 1995.
 
 use super::MeshFileContents;
 use glam::Vec3;

@@ -1,7 +1,8 @@
-//! OFF (Geomview's object file format), text: a keyword, the counts of vertices, faces and edges, the
-//! vertices, the faces. Our own reader: no maintained library exists. The keyword, its blank before
-//! the counts (the files of ModelNet40 lack it) and the count of edges may be missing; normals,
-//! colours and texture coordinates after the positions are not read. Source: Geomview manual, "OFF".
+//! OFF (Geomview's object file format), text: a keyword, the counts of vertices, faces and edges,
+//! the vertices, the faces. Our own reader: no maintained library exists. The keyword, its blank
+//! before the counts (the files of ModelNet40 lack it) and the count of edges may be missing;
+//! normals, colours and texture coordinates after the positions are not read. Source: Geomview
+//! manual, "OFF".
 
 use super::MeshFileContents;
 use glam::Vec3;

@@ -1,7 +1,7 @@
 //! PLY, text and binary in either byte order: the positions of the element "vertex", and the faces
-//! ("face", or "tristrips" as in the files of the Stanford repository). Our own reader: the numbers of
-//! a text file are separated by any white space, which the library reads by lines; and strips are
-//! wanted. Source: Turk, "The PLY Polygon File Format", 1994.
+//! ("face", or "tristrips" as in the files of the Stanford repository). Our own reader: the numbers
+//! of a text file are separated by any white space, which the library reads by lines; and strips
+//! are wanted. Source: Turk, "The PLY Polygon File Format", 1994.
 
 use super::MeshFileContents;
 use glam::Vec3;

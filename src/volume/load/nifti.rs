@@ -10,9 +10,9 @@
 //! spacing. NIfTI's world is RAS+, ours is LPS, hence x and y change sign. Source: nifti1.h and
 //! nifti2.h (Cox et al. 2004, 2011), "METHOD 2" and "METHOD 3".
 //!
-//! *Analyze*: the fields that SPM puts into places that Analyze does not use are read: the origin, and
-//! the scaling of the values. Without an origin the centre of the image lies at the world's origin, as
-//! in SPM and nibabel (ITK: the first voxel).
+//! *Analyze*: the fields that SPM puts into places that Analyze does not use are read: the origin,
+//! and the scaling of the values. Without an origin the centre of the image lies at the world's
+//! origin, as in SPM and nibabel (ITK: the first voxel).
 
 mod geometry;
 mod header;
@@ -94,8 +94,8 @@ fn partner(path: &Path, name: &str, own: &str, other: &str) -> Result<PathBuf> {
     super::source::sibling_file(path, there.ok_or_else(missing)?)
 }
 
-/// A notice if SPM's matrix lies beside an Analyze file: a file in MATLAB's format that replaces the
-/// orientation.
+/// A notice if SPM's matrix lies beside an Analyze file: a file in MATLAB's format that replaces
+/// the orientation.
 fn matrix_beside(header: &Header, path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().into_owned();
     let stem = &name[..name.to_ascii_lowercase().rfind(".hdr")?];

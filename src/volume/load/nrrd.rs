@@ -343,20 +343,22 @@ fn axes(header: &Header, sizes: Vec<usize>, segmented: bool) -> Result<Axes, Str
     let directions: Vec<Option<DVec3>> = header
         .get("space directions")
         .map_or(Vec::new(), |d| words(d).iter().map(|w| vector(w)).collect());
-    let none_words = header.get("space directions").map_or(Vec::new(), words);
+    let direction_words = header.get("space directions").map_or(Vec::new(), words);
     let map = header.keys.contains_key(MAP_KEY);
     let (mut components, mut time, mut spatial) = (None, None, Vec::new());
     for (axis, &size) in sizes.iter().enumerate() {
         let kind = kinds.get(axis).map_or("???", String::as_str);
         let direction = directions.get(axis).copied().flatten();
-        let none = none_words
+        let none = direction_words
             .get(axis)
             .is_some_and(|d| d.eq_ignore_ascii_case("none"))
             || direction.is_some_and(|d| d.is_nan_mask().all());
-        // The step of a time axis has no part in space.
-        let is_time = kind == "time"
-            || (kind == "list" && !map && !segmented && size > 4)
-            || (axis > 0 && direction == Some(DVec3::ZERO));
+        // The step of a time axis has no part in space: (0,0,0,t).
+        let in_time = direction == Some(DVec3::ZERO)
+            && direction_words
+                .get(axis)
+                .is_some_and(|d| d.matches(',').count() == 3);
+        let is_time = kind == "time" || (kind == "list" && !map && !segmented && size > 4) || in_time;
         if is_time && time.is_none() {
             time = Some(axis);
         } else if (none || !matches!(kind, "domain" | "space" | "???" | "none")) && !is_time {

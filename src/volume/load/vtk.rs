@@ -179,9 +179,14 @@ impl Header {
                     .get(1)
                     .is_some_and(|k| k.eq_ignore_ascii_case("STRUCTURED_POINTS")) =>
             {
+                let kind = words.get(1).unwrap_or(&"nothing");
+                let remedy = if kind.eq_ignore_ascii_case("POLYDATA") {
+                    "; save the mesh as .ply, .stl or .obj"
+                } else {
+                    ""
+                };
                 return Err(format!(
-                    "holds {}; structured points can be read as a volume",
-                    words.get(1).unwrap_or(&"nothing")
+                    "holds {kind}; structured points can be read as a volume{remedy}"
                 ));
             }
             Some("DIMENSIONS") => {
@@ -242,6 +247,11 @@ fn value_array(
             3,
             Meaning::Vectors,
         ),
+        Some(word @ ("TENSORS" | "TENSORS6" | "TEXTURE_COORDINATES")) => {
+            return Err(fail(format!(
+                "holds {word}, which cannot be shown; scalars, vectors and colours can"
+            )));
+        }
         // Fields before the points belong to the whole data set.
         Some("FIELD") if header.size.is_some() => {
             let next = line(path, reader)?.unwrap_or_default();

@@ -83,7 +83,10 @@ def of_pynrrd(path, **more):
     out = {"size": list(array.shape), "values": some_values(array)}
     directions = header.get("space directions")
     if directions is not None:
-        axes = np.array([d for d in directions if d is not None and np.isfinite(d).all()], float) * sign
+        axes = (
+            np.array([d for d in directions if d is not None and np.isfinite(d).all()], float)
+            * sign
+        )
         lengths = np.linalg.norm(axes, axis=1)
         out["spacing_mm"] = lengths.tolist()
         out["direction"] = (axes / lengths[:, None]).T.tolist()

@@ -33,7 +33,11 @@ def matlab(*transforms):
     for kind, parameters, fixed in transforms:
         for name, numbers in ((kind, parameters), ("fixed", fixed)):
             name = name.encode() + b"\0"
-            out += struct.pack("<5i", 0, len(numbers), 1, 0, len(name)) + name + struct.pack(f"<{len(numbers)}d", *numbers)
+            out += (
+                struct.pack("<5i", 0, len(numbers), 1, 0, len(name))
+                + name
+                + struct.pack(f"<{len(numbers)}d", *numbers)
+            )
     return out
 
 
@@ -49,7 +53,9 @@ def of_itk(content, points):
             first, rest = content.split("\n", 1)
             kind = rest.split("Transform: ")[1].split("\n")[0]
             precision = "float" if "_float" in kind else "double"
-            content = f"{first}\n#Transform 0\nTransform: CompositeTransform_{precision}_3_3\n{rest}"
+            content = (
+                f"{first}\n#Transform 0\nTransform: CompositeTransform_{precision}_3_3\n{rest}"
+            )
         with open(path, "w") as file:
             file.write(content)
         return mapped(SimpleITK.ReadTransform(path), points)
@@ -82,16 +88,46 @@ def affines():
         ("euler-float", "Euler3DTransform_float_3_3", [0.1, 0.2, 0.3, 1, 2, 3], CENTER),
         ("euler-zxy", "Euler3DTransform" + d, [0.1, 0.2, 0.3, 1, 2, 3], CENTER + [0]),
         ("euler-zyx", "Euler3DTransform" + d, [0.1, 0.2, 0.3, 1, 2, 3], CENTER + [1]),
-        ("centered-euler", "CenteredEuler3DTransform" + d, [0.1, 0.2, 0.3] + CENTER + [1, 2, 3], CENTER),
-        ("centered-euler-zyx", "CenteredEuler3DTransform" + d, [0.1, 0.2, 0.3] + CENTER + [1, 2, 3], CENTER + [1]),
+        (
+            "centered-euler",
+            "CenteredEuler3DTransform" + d,
+            [0.1, 0.2, 0.3] + CENTER + [1, 2, 3],
+            CENTER,
+        ),
+        (
+            "centered-euler-zyx",
+            "CenteredEuler3DTransform" + d,
+            [0.1, 0.2, 0.3] + CENTER + [1, 2, 3],
+            CENTER + [1],
+        ),
         ("versor", "VersorTransform" + d, versor, CENTER),
         ("versor-rigid", "VersorRigid3DTransform" + d, versor + [1, 2, 3], CENTER),
-        ("quaternion-rigid", "QuaternionRigidTransform" + d, [0.1, 0.2, 0.3, math.sqrt(0.86), 1, 2, 3], CENTER),
-        ("quaternion-not-unit", "QuaternionRigidTransform" + d, [0.1, 0.2, 0.3, 0.9, 1, 2, 3], CENTER),
+        (
+            "quaternion-rigid",
+            "QuaternionRigidTransform" + d,
+            [0.1, 0.2, 0.3, math.sqrt(0.86), 1, 2, 3],
+            CENTER,
+        ),
+        (
+            "quaternion-not-unit",
+            "QuaternionRigidTransform" + d,
+            [0.1, 0.2, 0.3, 0.9, 1, 2, 3],
+            CENTER,
+        ),
         ("similarity", "Similarity3DTransform" + d, versor + [1, 2, 3, 1.2], CENTER),
         ("scale-versor", "ScaleVersor3DTransform" + d, versor + [1, 2, 3, 1.1, 1.2, 1.3], CENTER),
-        ("scale-skew-versor", "ScaleSkewVersor3DTransform" + d, versor + [1, 2, 3, 1.1, 1.2, 1.3, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06], CENTER),
-        ("compose-scale-skew-versor", "ComposeScaleSkewVersor3DTransform" + d, versor + [1, 2, 3, 1.1, 1.2, 1.3, 0.01, 0.02, 0.03], CENTER),
+        (
+            "scale-skew-versor",
+            "ScaleSkewVersor3DTransform" + d,
+            versor + [1, 2, 3, 1.1, 1.2, 1.3, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06],
+            CENTER,
+        ),
+        (
+            "compose-scale-skew-versor",
+            "ComposeScaleSkewVersor3DTransform" + d,
+            versor + [1, 2, 3, 1.1, 1.2, 1.3, 0.01, 0.02, 0.03],
+            CENTER,
+        ),
     ]
 
 
@@ -125,9 +161,16 @@ def make_composites(add):
     field = ("DisplacementFieldTransform_double_3_3", slow_wave(3 * 64), GRID)
     inside = [(3.0, 4.0, 5.0), (10.0, 20.0, 7.0), (25.0, 11.0, 16.0)]
     shift = ("TranslationTransform_double_3_3", [1, 2, 3], [])
-    add("composite-field-after-translation", text(composite, field, shift), [(10.0, 16.0, 12.0), (14.0, 8.0, 20.0)], tolerance=0.05)
+    add(
+        "composite-field-after-translation",
+        text(composite, field, shift),
+        [(10.0, 16.0, 12.0), (14.0, 8.0, 20.0)],
+        tolerance=0.05,
+    )
     two = text(affine, euler)
-    add("two-without-composite", two, [], right=of_itk(text(affine), POINTS), warns=["2 transforms"])
+    add(
+        "two-without-composite", two, [], right=of_itk(text(affine), POINTS), warns=["2 transforms"]
+    )
 
 
 def make_grids(add):
@@ -137,23 +180,55 @@ def make_grids(add):
         entry = (f"BSplineTransform_double_3_3{suffix}", wave(3 * 64), GRID)
         add(f"bspline-order-{order}", text(entry), inside, tolerance=0.02)
     # ITK's class moves nothing at order 0.
-    add("bspline-order-0", text(("BSplineTransform_double_3_3_0", wave(3 * 64), GRID)), inside, warns=["order 0"])
+    add(
+        "bspline-order-0",
+        text(("BSplineTransform_double_3_3_0", wave(3 * 64), GRID)),
+        inside,
+        warns=["order 0"],
+    )
     fine = [5, 4, 6, -20, -10, -30, 10, 12, 11, 0.8, -0.6, 0, 0.6, 0.8, 0, 0, 0, 1]
     entry = ("BSplineTransform_double_3_3", wave(3 * 120), fine)
     m = np.array(fine[9:18]).reshape(3, 3) @ np.diag(fine[6:9])
-    points = [tuple(float(x) for x in np.array(fine[3:6]) + m @ np.array(v)) for v in ([1.5, 1.5, 2], [2.2, 1.9, 4], [3, 1.1, 1.2])]
+    points = [
+        tuple(float(x) for x in np.array(fine[3:6]) + m @ np.array(v))
+        for v in ([1.5, 1.5, 2], [2.2, 1.9, 4], [3, 1.1, 1.2])
+    ]
     add("bspline-oblique", text(entry), points, tolerance=0.02)
-    add("bspline-float", text(("BSplineTransform_float_3_3", wave(3 * 120), fine)), points, tolerance=0.02)
+    add(
+        "bspline-float",
+        text(("BSplineTransform_float_3_3", wave(3 * 120), fine)),
+        points,
+        tolerance=0.02,
+    )
     old = ("BSplineDeformableTransform_double_3_3", wave(3 * 64), GRID)
-    add("bspline-deformable", text(old), [], right=of_itk(text(("BSplineTransform_double_3_3", *old[1:])), inside), tolerance=0.02)
+    add(
+        "bspline-deformable",
+        text(old),
+        [],
+        right=of_itk(text(("BSplineTransform_double_3_3", *old[1:])), inside),
+        tolerance=0.02,
+    )
     composite = ("CompositeTransform_double_3_3", [], [])
     shift = ("TranslationTransform_double_3_3", [1, 2, 3], [])
-    add("bspline-in-a-composite", text(composite, shift, ("BSplineTransform_double_3_3", slow_wave(3 * 64), GRID)), [(14.0, 14.5, 15.0), (13.0, 16.0, 12.0)], tolerance=0.05)
+    add(
+        "bspline-in-a-composite",
+        text(composite, shift, ("BSplineTransform_double_3_3", slow_wave(3 * 64), GRID)),
+        [(14.0, 14.5, 15.0), (13.0, 16.0, 12.0)],
+        tolerance=0.05,
+    )
     small = [3, 2, 2, *GRID[3:]]
-    for kind in ("DisplacementFieldTransform", "GaussianSmoothingOnUpdateDisplacementFieldTransform", "BSplineSmoothingOnUpdateDisplacementFieldTransform"):
+    for kind in (
+        "DisplacementFieldTransform",
+        "GaussianSmoothingOnUpdateDisplacementFieldTransform",
+        "BSplineSmoothingOnUpdateDisplacementFieldTransform",
+    ):
         for precision in ("double", "float"):
             entry = (f"{kind}_{precision}_3_3", wave(3 * 12), small)
-            add(f"{kind[:12].lower()}-{precision}", text(entry), [(0.0, 10.0, 0.0), (3.0, 4.0, 5.0), (19.0, 9.0, 6.0)])
+            add(
+                f"{kind[:12].lower()}-{precision}",
+                text(entry),
+                [(0.0, 10.0, 0.0), (3.0, 4.0, 5.0), (19.0, 9.0, 6.0)],
+            )
 
 
 def make_files(cases, add):
@@ -164,7 +239,9 @@ def make_files(cases, add):
             for n, (kind, parameters, fixed) in enumerate(entries):
                 one = group.create_group(str(n))
                 text_type = h5py.string_dtype("ascii")
-                one.create_dataset("TransformType", data=np.array([kind.encode()], object), dtype=text_type)
+                one.create_dataset(
+                    "TransformType", data=np.array([kind.encode()], object), dtype=text_type
+                )
                 if not kind.startswith("Composite"):
                     word = "Tranform" if misspelt else "Transform"
                     one.create_dataset(f"{word}FixedParameters", data=np.array(fixed, precision))
@@ -181,30 +258,96 @@ def make_files(cases, add):
         ("hdf5-float", [("AffineTransform_float_3_3", *affine[1:])], {"precision": "f4"}),
     ]:
         path = h5(name, entries, **more)
-        cases.add(KIND, name, path, "SimpleITK", points=of_itk(text(*entries), POINTS), note="needs the feature hdf5")
-    add("matlab-float", matlab(("AffineTransform_float_3_3", *affine[1:])), [], "mat", of_itk(text(affine), POINTS))
-    chain = SimpleITK.CompositeTransform([SimpleITK.TranslationTransform(3, (1, 2, 3)), SimpleITK.Euler3DTransform(CENTER, 0.1, 0.2, 0.3)])
+        cases.add(
+            KIND,
+            name,
+            path,
+            "SimpleITK",
+            points=of_itk(text(*entries), POINTS),
+            note="needs the feature hdf5",
+        )
+    add(
+        "matlab-float",
+        matlab(("AffineTransform_float_3_3", *affine[1:])),
+        [],
+        "mat",
+        of_itk(text(affine), POINTS),
+    )
+    chain = SimpleITK.CompositeTransform(
+        [
+            SimpleITK.TranslationTransform(3, (1, 2, 3)),
+            SimpleITK.Euler3DTransform(CENTER, 0.1, 0.2, 0.3),
+        ]
+    )
     SimpleITK.WriteTransform(chain, cases.path("itk/composite.mat"))
-    cases.add(KIND, "matlab-composite", "itk/composite.mat", "SimpleITK refuses it, too", error=["composite", ".h5"])
+    cases.add(
+        KIND,
+        "matlab-composite",
+        "itk/composite.mat",
+        "SimpleITK refuses it, too",
+        error=["composite", ".h5"],
+    )
 
 
 def make_refusals(cases):
     d = "_double_3_3"
     landmarks = [0, 0, 0, 10, 0, 0, 0, 10, 0, 0, 0, 10]
     for name, content, fragments in [
-        ("azimuth", text(("AzimuthElevationToCartesianTransform" + d, MATRIX + [0, 0, 0], CENTER)), ["AzimuthElevation"]),
-        ("thin-plate", text(("ThinPlateSplineKernelTransform" + d, landmarks, landmarks)), ["ThinPlateSplineKernelTransform", "landmarks"]),
-        ("elastic-body", text(("ElasticBodySplineKernelTransform" + d, landmarks, landmarks)), ["ElasticBodySplineKernelTransform"]),
-        ("velocity", text(("ConstantVelocityFieldTransform" + d, [0] * 3, GRID)), ["ConstantVelocityFieldTransform"]),
-        ("euler-2d", text(("Euler2DTransform_double_2_2", [0.1, 1, 2], [0, 0])), ["Euler2DTransform", "three-dimensional"]),
-        ("affine-2d", text(("AffineTransform_double_2_2", [1, 0, 0, 1, 1, 2], [0, 0])), ["three-dimensional"]),
-        ("bspline-order-5", text((f"BSplineTransform{d}_5", wave(3 * 64), GRID)), ["orders 1 to 3"]),
+        (
+            "azimuth",
+            text(("AzimuthElevationToCartesianTransform" + d, MATRIX + [0, 0, 0], CENTER)),
+            ["AzimuthElevation"],
+        ),
+        (
+            "thin-plate",
+            text(("ThinPlateSplineKernelTransform" + d, landmarks, landmarks)),
+            ["ThinPlateSplineKernelTransform", "landmarks"],
+        ),
+        (
+            "elastic-body",
+            text(("ElasticBodySplineKernelTransform" + d, landmarks, landmarks)),
+            ["ElasticBodySplineKernelTransform"],
+        ),
+        (
+            "velocity",
+            text(("ConstantVelocityFieldTransform" + d, [0] * 3, GRID)),
+            ["ConstantVelocityFieldTransform"],
+        ),
+        (
+            "euler-2d",
+            text(("Euler2DTransform_double_2_2", [0.1, 1, 2], [0, 0])),
+            ["Euler2DTransform", "three-dimensional"],
+        ),
+        (
+            "affine-2d",
+            text(("AffineTransform_double_2_2", [1, 0, 0, 1, 1, 2], [0, 0])),
+            ["three-dimensional"],
+        ),
+        (
+            "bspline-order-5",
+            text((f"BSplineTransform{d}_5", wave(3 * 64), GRID)),
+            ["orders 1 to 3"],
+        ),
         ("bspline-short", text(("BSplineTransform" + d, wave(3 * 64 - 1), GRID)), ["191", "192"]),
-        ("too-few-parameters", text(("AffineTransform" + d, MATRIX, CENTER)), ["9 parameters", "12"]),
+        (
+            "too-few-parameters",
+            text(("AffineTransform" + d, MATRIX, CENTER)),
+            ["9 parameters", "12"],
+        ),
         ("singular", text(("AffineTransform" + d, [0] * 9 + [1, 2, 3], CENTER)), ["singular"]),
-        ("not-numbers", text(("AffineTransform" + d, MATRIX + [1, 2, 3], CENTER)).replace("0.1", "one", 1), ["not numbers"]),
+        (
+            "not-numbers",
+            text(("AffineTransform" + d, MATRIX + [1, 2, 3], CENTER)).replace("0.1", "one", 1),
+            ["not numbers"],
+        ),
         ("no-transform", "#Insight Transform File V1.0\n", ["no transform"]),
         ("unknown", text(("FancyTransform" + d, [1], [])), ["FancyTransform"]),
     ]:
         cases.write(f"itk/{name}.tfm", content)
-        cases.add(KIND, name, f"itk/{name}.tfm", "SimpleITK refuses it or is not three-dimensional", error=fragments)
+        cases.add(
+            KIND,
+            name,
+            f"itk/{name}.tfm",
+            "SimpleITK refuses it or is not three-dimensional",
+            error=fragments,
+        )

@@ -22,7 +22,11 @@ def nifti(array, affine=AFFINE, kind=nibabel.Nifti1Image, sform=1, qform=1, dtyp
         image.header.set_qform(affine, qform)
     for name, value in fields.items():
         image.header[name] = value
-    return image.to_bytes() if hasattr(image, "to_bytes") and kind in (nibabel.Nifti1Image, nibabel.Nifti2Image) else image
+    return (
+        image.to_bytes()
+        if hasattr(image, "to_bytes") and kind in (nibabel.Nifti1Image, nibabel.Nifti2Image)
+        else image
+    )
 
 
 def patched(data, *changes):
@@ -71,7 +75,12 @@ def make_nifti(cases):
     case("nifti-2", nifti(v, OBLIQUE, nibabel.Nifti2Image))
     case("qform-only", nifti(v, OBLIQUE, sform=0))
     case("sform-only", nifti(v, OBLIQUE, qform=0))
-    case("neither", patched(plain, (252, "<2h", 0, 0)), peer=right(np.diag([0.5, 0.75, 2, 1])), warns=["no orientation"])
+    case(
+        "neither",
+        patched(plain, (252, "<2h", 0, 0)),
+        peer=right(np.diag([0.5, 0.75, 2, 1])),
+        warns=["no orientation"],
+    )
     sheared = OBLIQUE.copy()
     sheared[0, 2] = 0.5
     case("sheared-sform", nifti(v, sheared, qform=0))
@@ -88,21 +97,60 @@ def make_nifti(cases):
     near.header.set_sform(AFFINE, 2)
     near.header.set_qform(moved, 1)
     case("sform-and-qform-nearly-agree", near.to_bytes(), not_warns=["qform"])
-    case("sform-pixdim-zero", patched(plain, (80, "<3f", 0, 0, 0), (252, "<h", 0)), peer=right(AFFINE), not_warns=["spacing along axis"])
-    case("qform-pixdim-negative", patched(nifti(v, AFFINE, sform=0), (84, "<f", -0.75)), peer=right(AFFINE))
+    case(
+        "sform-pixdim-zero",
+        patched(plain, (80, "<3f", 0, 0, 0), (252, "<h", 0)),
+        peer=right(AFFINE),
+        not_warns=["spacing along axis"],
+    )
+    case(
+        "qform-pixdim-negative",
+        patched(nifti(v, AFFINE, sform=0), (84, "<f", -0.75)),
+        peer=right(AFFINE),
+    )
     nan = nifti(v, np.diag([1, 0.75, 2, 1.0]), sform=0)
-    case("qform-pixdim-nan", patched(nan, (80, "<f", float("nan"))), peer=right(np.diag([1, 0.75, 2, 1.0])), warns=["spacing along axis 1"])
-    case("pixdim-zero-no-form", patched(plain, (252, "<2h", 0, 0), (80, "<3f", 0, 0, 0)), peer=right(np.eye(4)), warns=["1 mm"])
-    case("singular-sform", patched(plain, (280, "<12f", *[0] * 12)), peer=right(AFFINE), warns=["singular"])
-    case("non-unit-quaternion", patched(nifti(v, AFFINE, sform=0), (256, "<3f", 0, 0, 1.2)), peer=right(np.array([[-0.5, 0, 0, -3], [0, -0.75, 0, 4], [0, 0, 2, 5], [0, 0, 0, 1.0]])), warns=["quaternion"])
-    case("micrometres", patched(nifti(v, OBLIQUE * [[1000], [1000], [1000], [1]]), (123, "<B", 3)), peer=right(OBLIQUE))
-    case("metres", patched(nifti(v, OBLIQUE / [[1000], [1000], [1000], [1]]), (123, "<B", 1)), peer=right(OBLIQUE))
+    case(
+        "qform-pixdim-nan",
+        patched(nan, (80, "<f", float("nan"))),
+        peer=right(np.diag([1, 0.75, 2, 1.0])),
+        warns=["spacing along axis 1"],
+    )
+    case(
+        "pixdim-zero-no-form",
+        patched(plain, (252, "<2h", 0, 0), (80, "<3f", 0, 0, 0)),
+        peer=right(np.eye(4)),
+        warns=["1 mm"],
+    )
+    case(
+        "singular-sform",
+        patched(plain, (280, "<12f", *[0] * 12)),
+        peer=right(AFFINE),
+        warns=["singular"],
+    )
+    case(
+        "non-unit-quaternion",
+        patched(nifti(v, AFFINE, sform=0), (256, "<3f", 0, 0, 1.2)),
+        peer=right(np.array([[-0.5, 0, 0, -3], [0, -0.75, 0, 4], [0, 0, 2, 5], [0, 0, 0, 1.0]])),
+        warns=["quaternion"],
+    )
+    case(
+        "micrometres",
+        patched(nifti(v, OBLIQUE * [[1000], [1000], [1000], [1]]), (123, "<B", 3)),
+        peer=right(OBLIQUE),
+    )
+    case(
+        "metres",
+        patched(nifti(v, OBLIQUE / [[1000], [1000], [1000], [1]]), (123, "<B", 1)),
+        peer=right(OBLIQUE),
+    )
     extended = nibabel.Nifti1Image(v, AFFINE)
     extended.header.extensions.append(nibabel.nifti1.Nifti1Extension("comment", b"a comment" * 9))
     case("extension", extended.to_bytes())
     case("extension-damaged-size", patched(extended.to_bytes(), (352, "<i", 7)), peer=right(AFFINE))
     case("vox-offset-0", patched(plain, (108, "<f", 0)), peer=right(AFFINE))
-    case("vox-offset-too-low", patched(plain, (108, "<f", 40)), peer=right(AFFINE), warns=["byte 40"])
+    case(
+        "vox-offset-too-low", patched(plain, (108, "<f", 40)), peer=right(AFFINE), warns=["byte 40"]
+    )
     later = patched(plain[:352], (108, "<f", 400)) + bytes(48) + plain[352:]
     case("vox-offset-400", later)
     case("vox-offset-not-16", patched(plain[:352], (108, "<f", 357)) + bytes(5) + plain[352:])
@@ -121,12 +169,22 @@ def make_nifti(cases):
     full = nifti(label, AFFINE, intent_code=1002)
     case("labels", full, ".nii")
     case("dim-4-is-0", patched(plain, (40, "<h", 4), (48, "<h", 0)), peer=right(AFFINE))
-    case("two-axes", patched(nifti(v[:, :, :1], AFFINE), (40, "<h", 2), (88, "<f", 0)), peer=lambda p: {"peer": "nifti1.h", "size": [5, 6, 1], "values": some_values(v[:, :, :1])}, not_warns=["spacing along axis 3"])
+    case(
+        "two-axes",
+        patched(nifti(v[:, :, :1], AFFINE), (40, "<h", 2), (88, "<f", 0)),
+        peer=lambda p: {"peer": "nifti1.h", "size": [5, 6, 1], "values": some_values(v[:, :, :1])},
+        not_warns=["spacing along axis 3"],
+    )
     pair = nibabel.Nifti1Pair(v, AFFINE)
     for data, ending in zip(parts(pair), (".hdr", ".img")):
         cases.write(f"nifti/pair{ending}", data)
     for ending in (".hdr", ".img"):
-        cases.add(KIND, f"pair{ending}", f"nifti/pair{ending}", **of_nibabel(cases.path(f"nifti/pair{ending}")))
+        cases.add(
+            KIND,
+            f"pair{ending}",
+            f"nifti/pair{ending}",
+            **of_nibabel(cases.path(f"nifti/pair{ending}")),
+        )
 
 
 def make_types(cases):
@@ -145,20 +203,45 @@ def make_types(cases):
     scaled = patched(nifti(v), (112, "<2f", 0.5, -10))
     case("scaled", scaled, values=some_values(v * 0.5 - 10))
     case("slope-0", patched(scaled, (112, "<2f", 0, -10)), values=some_values(v))
-    case("slope-0-intercept-nan", patched(scaled, (112, "<2f", 0, float("nan"))), values=some_values(v), not_warns=["finite"])
-    case("slope-nan", patched(scaled, (112, "<2f", float("nan"), 0)), values=some_values(v), warns=["finite"])
-    case("bitpix-8-for-int16", patched(nifti(v), (72, "<h", 8)), values=some_values(v), warns=["8 bits"])
+    case(
+        "slope-0-intercept-nan",
+        patched(scaled, (112, "<2f", 0, float("nan"))),
+        values=some_values(v),
+        not_warns=["finite"],
+    )
+    case(
+        "slope-nan",
+        patched(scaled, (112, "<2f", float("nan"), 0)),
+        values=some_values(v),
+        warns=["finite"],
+    )
+    case(
+        "bitpix-8-for-int16",
+        patched(nifti(v), (72, "<h", 8)),
+        values=some_values(v),
+        warns=["8 bits"],
+    )
     bits = (values() % 3 == 0).astype(np.uint8)
     head = nifti(np.zeros(SIZE, np.uint8))[:352]
     packed = np.packbits(bits.ravel(order="F"), bitorder="little").tobytes()
-    case("one-bit", patched(head, (70, "<2h", 1, 1)) + packed, values=some_values(bits), warns=["bit"])
+    case(
+        "one-bit",
+        patched(head, (70, "<2h", 1, 1)) + packed,
+        values=some_values(bits),
+        warns=["bit"],
+    )
     rgb = np.zeros(SIZE, [("R", "u1"), ("G", "u1"), ("B", "u1")])
     rgb["R"], rgb["G"], rgb["B"] = values(np.uint8), values(np.uint8) + 50, 9
-    colors = [[i, j, k, [int(c) for c in rgb[i, j, k]]] for i, j, k in ((0, 0, 0), (4, 5, 3), (2, 1, 1))]
+    colors = [
+        [i, j, k, [int(c) for c in rgb[i, j, k]]] for i, j, k in ((0, 0, 0), (4, 5, 3), (2, 1, 1))
+    ]
     case("rgb24", nifti(rgb), components=3, colors=colors)
     rgba = np.zeros(SIZE, [("R", "u1"), ("G", "u1"), ("B", "u1"), ("A", "u1")])
     rgba["R"], rgba["G"], rgba["B"], rgba["A"] = values(np.uint8), 20, 30, 255
-    colors = [[i, j, k, [int(c) for c in rgba[i, j, k]][:3]] for i, j, k in ((0, 0, 0), (4, 5, 3), (2, 1, 1))]
+    colors = [
+        [i, j, k, [int(c) for c in rgba[i, j, k]][:3]]
+        for i, j, k in ((0, 0, 0), (4, 5, 3), (2, 1, 1))
+    ]
     case("rgba32", nifti(rgba), components=4, colors=colors)
     for dtype, word in ((np.complex64, "complex"), (np.complex128, "complex")):
         name = np.dtype(dtype).name
@@ -184,9 +267,29 @@ def make_times(cases):
     five = np.stack([four, four + 20000], axis=-1).astype(np.int16)
     intent = [(68, "<h", 1007)]
     vector = np.stack([values(np.float32) * (c + 1) for c in range(3)], axis=-1)[:, :, :, None, :]
-    case("vector", vector, intent, components=3, options={"channel": 2}, values=some_values(vector[:, :, :, 0, 1]))
-    case("time-and-component", five, components=2, time_points=3, options={"time": 2, "channel": 2}, values=some_values(five[:, :, :, 1, 1]))
-    case("time-and-component-1", five, time_points=3, options={"time": 3, "channel": 1}, values=some_values(five[:, :, :, 2, 0]))
+    case(
+        "vector",
+        vector,
+        intent,
+        components=3,
+        options={"channel": 2},
+        values=some_values(vector[:, :, :, 0, 1]),
+    )
+    case(
+        "time-and-component",
+        five,
+        components=2,
+        time_points=3,
+        options={"time": 2, "channel": 2},
+        values=some_values(five[:, :, :, 1, 1]),
+    )
+    case(
+        "time-and-component-1",
+        five,
+        time_points=3,
+        options={"time": 3, "channel": 1},
+        values=some_values(five[:, :, :, 2, 0]),
+    )
     time = np.stack([four[..., t] for t in range(3)], axis=-1).reshape(*SIZE, 1, 1, 3)
     case("sixth-axis", time, time_points=3, options={"time": 2}, values=some_values(four[..., 1]))
 
@@ -194,17 +297,38 @@ def make_times(cases):
 def make_analyze(cases):
     v = values(np.int16)
 
-    def case(name, *changes, kind=nibabel.AnalyzeImage, matrix=False, order="<", peer=None, endings=(".hdr", ".img"), array=v, **more):
+    def case(
+        name,
+        *changes,
+        kind=nibabel.AnalyzeImage,
+        matrix=False,
+        order="<",
+        peer=None,
+        endings=(".hdr", ".img"),
+        array=v,
+        **more,
+    ):
         header = kind.header_class(endianness=order)
         header.set_data_dtype(array.dtype)
         image = kind(array, np.diag([0.5, 0.75, 2, 1.0]), header)
         head, body = parts(image)
         head = patched(head, *[(a, order + f, *w) for a, f, *w in changes])
         for data, ending in zip((head, body), endings):
-            cases.write(f"analyze/{name}{ending}", gzip.compress(data, mtime=0) if ending.endswith(".gz") else data)
+            cases.write(
+                f"analyze/{name}{ending}",
+                gzip.compress(data, mtime=0) if ending.endswith(".gz") else data,
+            )
         path = f"analyze/{name}{endings[0]}"
         full = cases.path(path)
-        expected = {"peer": "nibabel"} if peer == () else {k: x for k, x in of_nibabel(full).items() if k in (peer or ("size", "values", "spacing_mm", "direction", "peer"))}
+        expected = (
+            {"peer": "nibabel"}
+            if peer == ()
+            else {
+                k: x
+                for k, x in of_nibabel(full).items()
+                if k in (peer or ("size", "values", "spacing_mm", "direction", "peer"))
+            }
+        )
         if matrix:
             # nibabel would read it with scipy.
             cases.write(f"analyze/{name}.mat", b"MATLAB 5.0 MAT-file")
@@ -225,7 +349,12 @@ def make_analyze(cases):
     case("minimum-in-the-magic", (340, "2i", 7, 3))
     case("vox-offset", (108, "f", 0))
     case("pixdim-0", (88, "f", 0), warns=["axis 3"], spacing_mm=[0.5, 0.75, 1])
-    case("matrix-beside", matrix=True, warns=["plain.mat".replace("plain", "matrix-beside")], values=some_values(v))
+    case(
+        "matrix-beside",
+        matrix=True,
+        warns=["plain.mat".replace("plain", "matrix-beside")],
+        values=some_values(v),
+    )
     case("gz", endings=(".hdr.gz", ".img.gz"))
     case("img-gz", endings=(".hdr", ".img.gz"), peer=(), size=list(SIZE), values=some_values(v))
     case("spm99", kind=nibabel.Spm99AnalyzeImage, peer=everything)
@@ -252,4 +381,10 @@ def make_refusals(cases):
         cases.add(KIND, name, f"nifti/{name}{ending}", "nibabel refuses it, too", error=fragments)
     head = patched(plain[:348], (344, "<4s", b"ni1\0"))
     cases.write("nifti/alone.hdr", head)
-    cases.add(KIND, "header-without-image", "nifti/alone.hdr", "nibabel refuses it, too", error=["alone.img"])
+    cases.add(
+        KIND,
+        "header-without-image",
+        "nifti/alone.hdr",
+        "nibabel refuses it, too",
+        error=["alone.img"],
+    )

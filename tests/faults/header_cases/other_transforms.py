@@ -72,11 +72,34 @@ def make_fsl(cases):
                 continue
             path = f"others/flirt-{name}-{handed}.mat"
             cases.write(path, content)
-            cases.add(KIND, f"flirt-{name}-{handed}", path, "FSL, FLIRT", points=right, options={"volume": image})
+            cases.add(
+                KIND,
+                f"flirt-{name}-{handed}",
+                path,
+                "FSL, FLIRT",
+                points=right,
+                options={"volume": image},
+            )
     cases.write("others/flirt.mat", rows(M))
-    cases.add(KIND, "flirt-without-volume", "others/flirt.mat", "FSL, FLIRT", error=["FSL", "moving=FILE"])
-    cases.add(KIND, "matrix-in-ras", "others/flirt.mat", "NiftyReg, reg_aladin", points=applied(FLIP @ M @ FLIP), options={"convention": "ras"})
-    cases.add(KIND, "matrix-in-lps", "others/flirt.mat", "LPS", points=applied(M), options={"convention": "lps"})
+    cases.add(
+        KIND, "flirt-without-volume", "others/flirt.mat", "FSL, FLIRT", error=["FSL", "moving=FILE"]
+    )
+    cases.add(
+        KIND,
+        "matrix-in-ras",
+        "others/flirt.mat",
+        "NiftyReg, reg_aladin",
+        points=applied(FLIP @ M @ FLIP),
+        options={"convention": "ras"},
+    )
+    cases.add(
+        KIND,
+        "matrix-in-lps",
+        "others/flirt.mat",
+        "LPS",
+        points=applied(M),
+        options={"convention": "lps"},
+    )
 
 
 def make_freesurfer(cases):
@@ -99,7 +122,11 @@ def make_freesurfer(cases):
     for name, content, fragments in [
         ("physical", lta(2, M, RIGHT_HANDED), ["type 2"]),
         ("register", lta(14, M, RIGHT_HANDED), ["type 14"]),
-        ("two", lta(1, M, RIGHT_HANDED).replace("nxforms   = 1", "nxforms   = 2"), ["2 transforms"]),
+        (
+            "two",
+            lta(1, M, RIGHT_HANDED).replace("nxforms   = 1", "nxforms   = 2"),
+            ["2 transforms"],
+        ),
         ("no-matrix", lta(1, M[:0], RIGHT_HANDED), ["4 x 4"]),
     ]:
         cases.write(f"others/{name}.lta", content)
@@ -107,12 +134,33 @@ def make_freesurfer(cases):
     image = volume(cases, "volume-tk", RIGHT_HANDED)
     spacing = np.linalg.norm(RIGHT_HANDED[:3, :3], axis=0)
     half = np.array(SIZE) * spacing / 2
-    tk_from_voxel = np.array([[-spacing[0], 0, 0, half[0]], [0, 0, spacing[2], -half[2]], [0, -spacing[1], 0, half[1]], [0, 0, 0, 1]])
+    tk_from_voxel = np.array(
+        [
+            [-spacing[0], 0, 0, half[0]],
+            [0, 0, spacing[2], -half[2]],
+            [0, -spacing[1], 0, half[1]],
+            [0, 0, 0, 1],
+        ]
+    )
     world_from_tk = FLIP @ RIGHT_HANDED @ np.linalg.inv(tk_from_voxel)
     dat = f"subject\n2.0\n3.0\n0.15\n{rows(M)}round\n"
     cases.write("others/register.dat", dat)
-    cases.add(KIND, "register-dat-without-volume", "others/register.dat", "FreeSurfer, tkregister", points=[], error=["register.dat", "moving=FILE"])
-    cases.add(KIND, "register-dat", "others/register.dat", "FreeSurfer, tkregister", points=applied(world_from_tk @ M @ np.linalg.inv(world_from_tk), NEAR), options={"volume": image})
+    cases.add(
+        KIND,
+        "register-dat-without-volume",
+        "others/register.dat",
+        "FreeSurfer, tkregister",
+        points=[],
+        error=["register.dat", "moving=FILE"],
+    )
+    cases.add(
+        KIND,
+        "register-dat",
+        "others/register.dat",
+        "FreeSurfer, tkregister",
+        points=applied(world_from_tk @ M @ np.linalg.inv(world_from_tk), NEAR),
+        options={"volume": image},
+    )
 
 
 def make_matrices(cases):
@@ -123,24 +171,62 @@ def make_matrices(cases):
 
     afni = "AFNI, 3dAllineate -1Dmatrix_save"
     one = rows(M, n=3).replace("\n", " ") + "\n"
-    case("afni-aff12", "# 3dAllineate matrices (DICOM-to-DICOM, row-by-row):\n" + one, "aff12.1D", applied(M), afni)
+    case(
+        "afni-aff12",
+        "# 3dAllineate matrices (DICOM-to-DICOM, row-by-row):\n" + one,
+        "aff12.1D",
+        applied(M),
+        afni,
+    )
     case("afni-three-rows", rows(M, n=3), "1D", applied(M), afni)
-    case("afni-matrix-expression", "MATRIX(" + ",".join(f"{x:.9g}" for x in M[:3].ravel()) + ")\n", "1D", applied(M), afni)
+    case(
+        "afni-matrix-expression",
+        "MATRIX(" + ",".join(f"{x:.9g}" for x in M[:3].ravel()) + ")\n",
+        "1D",
+        applied(M),
+        afni,
+    )
     mrtrix = "# mrtrix_version: 3.0.4\n# command_history: transformcalc a b\n" + rows(M)
     case("mrtrix", mrtrix, "txt", applied(FLIP @ M @ FLIP), "MRtrix, mrtransform -linear")
-    case("mrtrix-centre", "#centre: 1 2 3\n# command_history: mrregister a b\n" + rows(M), "txt", applied(FLIP @ M @ FLIP), "MRtrix, mrtransform -linear")
-    xfm = "MNI Transform File\n%Created by mritotal\n\nTransform_Type = Linear;\nLinear_Transform =\n" + rows(M, n=3).strip() + ";\n"
+    case(
+        "mrtrix-centre",
+        "#centre: 1 2 3\n# command_history: mrregister a b\n" + rows(M),
+        "txt",
+        applied(FLIP @ M @ FLIP),
+        "MRtrix, mrtransform -linear",
+    )
+    xfm = (
+        "MNI Transform File\n%Created by mritotal\n\nTransform_Type = Linear;\nLinear_Transform =\n"
+        + rows(M, n=3).strip()
+        + ";\n"
+    )
     inverse = applied(FLIP @ np.linalg.inv(M) @ FLIP)
     case("minc", xfm, "xfm", inverse, "MNI, mincresample")
-    one_line = xfm.replace("Linear_Transform =\n", "Linear_Transform = ").replace("\n%Cr", "\n% a = b;\n%Cr")
+    one_line = xfm.replace("Linear_Transform =\n", "Linear_Transform = ").replace(
+        "\n%Cr", "\n% a = b;\n%Cr"
+    )
     case("minc-one-line", one_line, "xfm", inverse, "MNI, mincresample")
-    case("minc-inverted", xfm.replace("= Linear;", "= Linear;\nInvert_Flag = True;"), "xfm", applied(FLIP @ M @ FLIP), "MNI, mincresample")
+    case(
+        "minc-inverted",
+        xfm.replace("= Linear;", "= Linear;\nInvert_Flag = True;"),
+        "xfm",
+        applied(FLIP @ M @ FLIP),
+        "MNI, mincresample",
+    )
     twice = xfm + xfm.split("\n\n", 1)[1]
     case("minc-two", twice, "xfm", applied(FLIP @ np.linalg.inv(M @ M) @ FLIP), "MNI, mincresample")
-    affine = SimpleITK.AffineTransform([float(x) for x in M[:3, :3].ravel()], [float(x) for x in M[:3, 3]], (0, 0, 0))
+    affine = SimpleITK.AffineTransform(
+        [float(x) for x in M[:3, :3].ravel()], [float(x) for x in M[:3, 3]], (0, 0, 0)
+    )
     path = cases.path("others/itk-writer.xfm")
     SimpleITK.WriteTransform(affine, path)
-    cases.add(KIND, "minc-written-by-itk", "others/itk-writer.xfm", "SimpleITK", points=mapped(SimpleITK.ReadTransform(path), POINTS))
+    cases.add(
+        KIND,
+        "minc-written-by-itk",
+        "others/itk-writer.xfm",
+        "SimpleITK",
+        points=mapped(SimpleITK.ReadTransform(path), POINTS),
+    )
 
 
 def make_elastix(cases):
@@ -166,46 +252,116 @@ def make_elastix(cases):
             elif value is not None:
                 numbers = value if isinstance(value, (list, tuple)) else [value]
                 out += f"({key} {' '.join(f'{x:.9g}' for x in numbers)})\n"
-        return f"// elastix\n\n{out}\n// ResampleInterpolator specific\n(ResampleInterpolator \"FinalBSplineInterpolator\")\n"
+        return f'// elastix\n\n{out}\n// ResampleInterpolator specific\n(ResampleInterpolator "FinalBSplineInterpolator")\n'
 
     def case(name, content, right, **more):
         path = f"elastix/{name}.txt"
         cases.write(path, content)
-        cases.add(KIND, f"elastix-{name}", path, "elastix 5, by ITK's classes", points=right, **more)
+        cases.add(
+            KIND, f"elastix-{name}", path, "elastix 5, by ITK's classes", points=right, **more
+        )
 
     angles = [0.1, 0.2, 0.3]
     euler = SimpleITK.Euler3DTransform((4, 5, 6), *angles, (1, 2, 3))
-    case("euler", text("EulerTransform", angles + [1, 2, 3], ComputeZYX="false"), mapped(euler, POINTS))
+    case(
+        "euler",
+        text("EulerTransform", angles + [1, 2, 3], ComputeZYX="false"),
+        mapped(euler, POINTS),
+    )
     euler.SetComputeZYX(True)
-    case("euler-zyx", text("EulerTransform", angles + [1, 2, 3], ComputeZYX="true"), mapped(euler, POINTS))
+    case(
+        "euler-zyx",
+        text("EulerTransform", angles + [1, 2, 3], ComputeZYX="true"),
+        mapped(euler, POINTS),
+    )
     linear = [float(x) for x in M[:3, :3].ravel()]
     affine = SimpleITK.AffineTransform(linear, (1, 2, 3), (4, 5, 6))
     case("affine", text("AffineTransform", linear + [1, 2, 3]), mapped(affine, POINTS))
-    case("translation", text("TranslationTransform", [1, 2, 3], center=None), mapped(SimpleITK.TranslationTransform(3, (1, 2, 3)), POINTS))
+    case(
+        "translation",
+        text("TranslationTransform", [1, 2, 3], center=None),
+        mapped(SimpleITK.TranslationTransform(3, (1, 2, 3)), POINTS),
+    )
     similarity = SimpleITK.Similarity3DTransform()
     similarity.SetCenter((4, 5, 6))
     similarity.SetParameters(angles + [1, 2, 3, 1.2])
-    case("similarity", text("SimilarityTransform", angles + [1, 2, 3, 1.2]), mapped(similarity, POINTS))
+    case(
+        "similarity",
+        text("SimilarityTransform", angles + [1, 2, 3, 1.2]),
+        mapped(similarity, POINTS),
+    )
     direction = [0.8, -0.6, 0, 0.6, 0.8, 0, 0, 0, 1]
     fixed = [5, 4, 6, -20, -10, -30, 10, 12, 11, *direction]
     spline = SimpleITK.BSplineTransform(3, 3)
     spline.SetFixedParameters(fixed)
     spline.SetParameters(wave(3 * 120))
     by_columns = [direction[3 * r + c] for c in range(3) for r in range(3)]
-    grid = {"GridSize": (5, 4, 6), "GridIndex": (0, 0, 0), "GridSpacing": (10, 12, 11), "GridOrigin": (-20, -10, -30), "GridDirection": by_columns, "BSplineTransformSplineOrder": 3, "UseCyclicTransform": "false"}
+    grid = {
+        "GridSize": (5, 4, 6),
+        "GridIndex": (0, 0, 0),
+        "GridSpacing": (10, 12, 11),
+        "GridOrigin": (-20, -10, -30),
+        "GridDirection": by_columns,
+        "BSplineTransformSplineOrder": 3,
+        "UseCyclicTransform": "false",
+    }
     m = np.array(direction).reshape(3, 3) @ np.diag(fixed[6:9])
-    inside = [tuple(float(x) for x in np.array(fixed[3:6]) + m @ np.array(v)) for v in ([1.5, 1.5, 2], [2.2, 1.9, 4], [3, 1.1, 1.2])]
-    case("bspline", text("BSplineTransform", wave(3 * 120), center=None, **grid), mapped(spline, inside), tolerance=0.02)
-    case("recursive-bspline", text("RecursiveBSplineTransform", wave(3 * 120), center=None, **grid), mapped(spline, inside), tolerance=0.02)
+    inside = [
+        tuple(float(x) for x in np.array(fixed[3:6]) + m @ np.array(v))
+        for v in ([1.5, 1.5, 2], [2.2, 1.9, 4], [3, 1.1, 1.2])
+    ]
+    case(
+        "bspline",
+        text("BSplineTransform", wave(3 * 120), center=None, **grid),
+        mapped(spline, inside),
+        tolerance=0.02,
+    )
+    case(
+        "recursive-bspline",
+        text("RecursiveBSplineTransform", wave(3 * 120), center=None, **grid),
+        mapped(spline, inside),
+        tolerance=0.02,
+    )
     chain = SimpleITK.CompositeTransform([affine, SimpleITK.TranslationTransform(3, (1, 2, 3))])
-    case("chain", text("AffineTransform", linear + [1, 2, 3], InitialTransformParametersFileName="/home/a/run/translation.txt"), mapped(chain, POINTS))
+    case(
+        "chain",
+        text(
+            "AffineTransform",
+            linear + [1, 2, 3],
+            InitialTransformParametersFileName="/home/a/run/translation.txt",
+        ),
+        mapped(chain, POINTS),
+    )
     for name, content, fragments in [
         ("stack", text("AffineLogStackTransform", [1]), ["AffineLogStackTransform"]),
         ("spline-kernel", text("SplineKernelTransform", [1]), ["SplineKernelTransform"]),
-        ("two-dimensions", text("EulerTransform", [0.1, 1, 2], FixedImageDimension=2), ["2 dimensions"]),
-        ("added", text("TranslationTransform", [1, 2, 3], InitialTransformParametersFileName="euler.txt", HowToCombineTransforms="Add"), ["Compose"]),
-        ("missing-file", text("TranslationTransform", [1, 2, 3], InitialTransformParametersFileName="nowhere.txt"), ["nowhere.txt"]),
-        ("loop", text("TranslationTransform", [1, 2, 3], InitialTransformParametersFileName="loop.txt"), ["16"]),
+        (
+            "two-dimensions",
+            text("EulerTransform", [0.1, 1, 2], FixedImageDimension=2),
+            ["2 dimensions"],
+        ),
+        (
+            "added",
+            text(
+                "TranslationTransform",
+                [1, 2, 3],
+                InitialTransformParametersFileName="euler.txt",
+                HowToCombineTransforms="Add",
+            ),
+            ["Compose"],
+        ),
+        (
+            "missing-file",
+            text(
+                "TranslationTransform", [1, 2, 3], InitialTransformParametersFileName="nowhere.txt"
+            ),
+            ["nowhere.txt"],
+        ),
+        (
+            "loop",
+            text("TranslationTransform", [1, 2, 3], InitialTransformParametersFileName="loop.txt"),
+            ["16"],
+        ),
     ]:
         cases.write(f"elastix/{name}.txt", content)
         cases.add(KIND, f"elastix-{name}", f"elastix/{name}.txt", "elastix", error=fragments)
@@ -235,39 +391,101 @@ def make_fields(cases):
     cases.write("others/ants-warp.nii", field(vectors, 1007))
     cases.add(KIND, "ants-warp", "others/ants-warp.nii", "ITK", points=right(np.eye(3)))
     cases.write("others/displacement.nii", field(vectors, 1006))
-    cases.add(KIND, "displacement-in-ras", "others/displacement.nii", "nifti1.h, DISPVECT", points=right(ras))
-    grid = np.stack([*np.meshgrid(*[np.arange(n) for n in size], indexing="ij"), np.ones(size)], axis=-1)
+    cases.add(
+        KIND,
+        "displacement-in-ras",
+        "others/displacement.nii",
+        "nifti1.h, DISPVECT",
+        points=right(ras),
+    )
+    grid = np.stack(
+        [*np.meshgrid(*[np.arange(n) for n in size], indexing="ij"), np.ones(size)], axis=-1
+    )
     mapping = (grid @ affine.T)[..., None, :3] + vectors
     cases.write("others/y_spm.nii", field(mapping.astype(np.float32), 1007, "Mapping"))
-    cases.add(KIND, "spm-deformation", "others/y_spm.nii", "SPM 12, deformation fields", points=right(ras))
-    image = SimpleITK.GetImageFromArray(np.moveaxis(vectors[..., 0, :], (0, 1, 2), (2, 1, 0)).astype(np.float64), isVector=True)
+    cases.add(
+        KIND, "spm-deformation", "others/y_spm.nii", "SPM 12, deformation fields", points=right(ras)
+    )
+    image = SimpleITK.GetImageFromArray(
+        np.moveaxis(vectors[..., 0, :], (0, 1, 2), (2, 1, 0)).astype(np.float64), isVector=True
+    )
     image.SetSpacing((8, 9, 10))
     image.SetOrigin((-16, -18, -20))
     for ending in ("mha", "nrrd"):
         path = cases.path(f"others/field.{ending}")
         SimpleITK.WriteImage(image, path)
-        transform = SimpleITK.DisplacementFieldTransform(SimpleITK.ReadImage(path, SimpleITK.sitkVectorFloat64))
-        cases.add(KIND, f"field-{ending}", f"others/field.{ending}", "SimpleITK", points=mapped(transform, [(0.0, 0.0, 0.0), (-8.0, -9.0, -10.0), (-2.0, 5.0, 17.0)]))
+        transform = SimpleITK.DisplacementFieldTransform(
+            SimpleITK.ReadImage(path, SimpleITK.sitkVectorFloat64)
+        )
+        cases.add(
+            KIND,
+            f"field-{ending}",
+            f"others/field.{ending}",
+            "SimpleITK",
+            points=mapped(transform, [(0.0, 0.0, 0.0), (-8.0, -9.0, -10.0), (-2.0, 5.0, 17.0)]),
+        )
     four = vectors[..., 0, :]
     for code, word in ((2007, "cubic spline"), (2008, "cosine"), (2009, "quadratic")):
         image = nibabel.Nifti1Image(four, affine)
         data = bytearray(image.to_bytes())
         data[68:70] = code.to_bytes(2, "little")
         cases.write(f"others/fnirt-{code}.nii", bytes(data))
-        cases.add(KIND, f"fnirt-{code}", f"others/fnirt-{code}.nii", "FSL, fnirt", points=[], error=[word, "fnirtfileutils"])
+        cases.add(
+            KIND,
+            f"fnirt-{code}",
+            f"others/fnirt-{code}.nii",
+            "FSL, fnirt",
+            points=[],
+            error=[word, "fnirtfileutils"],
+        )
+    cases.write("others/velocities.nii", field(vectors, 1007, "Velocities"))
+    cases.add(
+        KIND,
+        "velocities",
+        "others/velocities.nii",
+        "SPM 12, Dartel",
+        points=[],
+        error=["velocities"],
+    )
     cases.write("others/no-convention.nii", field(vectors, 0))
-    cases.add(KIND, "no-convention", "others/no-convention.nii", "nifti1.h", points=[], error=["convention"])
+    cases.add(
+        KIND,
+        "no-convention",
+        "others/no-convention.nii",
+        "nifti1.h",
+        points=[],
+        error=["convention"],
+    )
     cases.write("others/scalar.nii", nibabel.Nifti1Image(four[..., 0].copy(), affine).to_bytes())
-    cases.add(KIND, "scalar-image", "others/scalar.nii", "nifti1.h", points=[], error=["1 values per voxel"])
+    cases.add(
+        KIND,
+        "scalar-image",
+        "others/scalar.nii",
+        "nifti1.h",
+        points=[],
+        error=["1 values per voxel"],
+    )
 
 
 def make_refusals(cases):
     for name, content, fragments in [
-        ("spm_sn.mat", b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(128) + b"\0" * 64, ["SPM", "_sn.mat"]),
+        (
+            "spm_sn.mat",
+            b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(128) + b"\0" * 64,
+            ["SPM", "_sn.mat"],
+        ),
         ("morph.m3z", b"\x1f\x8b\x08" + b"\0" * 60, [".m3z", "mri_warp_convert"]),
         ("warp.mgz", b"\x1f\x8b\x08" + b"\0" * 60, [".mgz"]),
-        ("grid.xfm", "MNI Transform File\nTransform_Type = Grid_Transform;\nDisplacement_Volume = a_grid_0.mnc;\n", ["Grid_Transform"]),
-        ("thin-plate.xfm", "MNI Transform File\nTransform_Type = Thin_Plate_Spline_Transform;\nNumber_Dimensions = 3;\n", ["Thin_Plate_Spline_Transform"]),
+        (
+            "grid.xfm",
+            "MNI Transform File\nTransform_Type = Grid_Transform;\nDisplacement_Volume = a_grid_0.mnc;\n",
+            ["Grid_Transform"],
+        ),
+        (
+            "thin-plate.xfm",
+            "MNI Transform File\nTransform_Type = Thin_Plate_Spline_Transform;\nNumber_Dimensions = 3;\n",
+            ["Thin_Plate_Spline_Transform"],
+        ),
         ("nothing.xfm", "MNI Transform File\n", ["Linear_Transform"]),
         ("many.aff12.1D", (rows(M, n=3).replace("\n", " ") + "\n") * 5, ["5 matrices"]),
         ("last-row.mat", rows(M).replace("0 0 0 1", "0 0 1 1"), ["last row"]),
@@ -277,4 +495,11 @@ def make_refusals(cases):
         ("register.dat2.dat", "subject\n1\n2\n3\nround\n", ["4 x 4"]),
     ]:
         cases.write(f"refused/{name}", content)
-        cases.add(KIND, name, f"refused/{name}", "what the program that writes it says", points=[], error=fragments)
+        cases.add(
+            KIND,
+            name,
+            f"refused/{name}",
+            "what the program that writes it says",
+            points=[],
+            error=fragments,
+        )

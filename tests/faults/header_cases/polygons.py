@@ -11,7 +11,13 @@ KIND = "polygons"
 L = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
 ARROW = [(0, 0), (4, 0), (1, 1), (0, 4)]
 COMB = [(0, -1), (12, -1)] + [(x, 0 if x % 2 == 0 else 3) for x in range(12, -1, -1)]
-STAR = [(math.cos(n * math.pi / 5) * (3 if n % 2 == 0 else 1), math.sin(n * math.pi / 5) * (3 if n % 2 == 0 else 1)) for n in range(10)]
+STAR = [
+    (
+        math.cos(n * math.pi / 5) * (3 if n % 2 == 0 else 1),
+        math.sin(n * math.pi / 5) * (3 if n % 2 == 0 else 1),
+    )
+    for n in range(10)
+]
 U = [(0, 0), (5, 0), (5, 4), (4, 4), (4, 1), (1, 1), (1, 4), (0, 4)]
 EDGES = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
 L_EDGES = [(0, 0), (1.5, 0), (3, 0), (3, 1), (2, 1), (1, 1), (1, 2), (1, 3), (0, 3), (0, 1)]
@@ -50,20 +56,34 @@ def line(numbers):
 
 
 def obj(points, faces):
-    return "".join(f"v {line(p)}\n" for p in points) + "".join("f " + " ".join(str(c + 1) for c in f) + "\n" for f in faces)
+    return "".join(f"v {line(p)}\n" for p in points) + "".join(
+        "f " + " ".join(str(c + 1) for c in f) + "\n" for f in faces
+    )
 
 
 def off(points, faces):
-    return f"OFF\n{len(points)} {len(faces)} 0\n" + "".join(line(p) + "\n" for p in points) + "".join(f"{len(f)} {line(f)}\n" for f in faces)
+    return (
+        f"OFF\n{len(points)} {len(faces)} 0\n"
+        + "".join(line(p) + "\n" for p in points)
+        + "".join(f"{len(f)} {line(f)}\n" for f in faces)
+    )
 
 
 def ply(points, faces, form="ascii"):
     header = f"ply\nformat {form} 1.0\nelement vertex {len(points)}\nproperty float x\nproperty float y\nproperty float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     if form == "ascii":
-        return header + "".join(line(p) + "\n" for p in points) + "".join(f"{len(f)} {line(f)}\n" for f in faces)
+        return (
+            header
+            + "".join(line(p) + "\n" for p in points)
+            + "".join(f"{len(f)} {line(f)}\n" for f in faces)
+        )
     order = "<" if "little" in form else ">"
     body = b"".join(struct.pack(f"{order}3f", *p) for p in points)
-    return header.encode() + body + b"".join(struct.pack(f"{order}B{len(f)}i", len(f), *f) for f in faces)
+    return (
+        header.encode()
+        + body
+        + b"".join(struct.pack(f"{order}B{len(f)}i", len(f), *f) for f in faces)
+    )
 
 
 def make(cases):
@@ -95,7 +115,9 @@ def make(cases):
         for turn in (0, 3):
             points, faces = prism(polygon, turn=turn)
             triangles = 4 * len(polygon) - 4 - (4 if name == "ring" else 0)
-            case(f"{name}-{turn}", obj(points, faces), "obj", area(polygon), triangles, sdf=distances)
+            case(
+                f"{name}-{turn}", obj(points, faces), "obj", area(polygon), triangles, sdf=distances
+            )
     points, faces = prism(L, turn=4)
     moved = turned(points)
     case("l-turned", obj(moved, faces), "obj", 5.0, 20, sdf=[[*turned([(1.4, 1.4, 0)])[0], -0.4]])
@@ -109,5 +131,11 @@ def make(cases):
     case("quads", obj(*cube), "obj", 8.0, 12, peer="trimesh", sdf=[[1, 1, 1, 1.0]])
     hexagon = [(math.cos(n * math.pi / 3), math.sin(n * math.pi / 3)) for n in range(6)]
     case("hexagon", off(*prism(hexagon)), "off", area(hexagon), 20, peer="trimesh")
-    many = [(math.cos(n * math.pi / 50) * (5 if n % 2 else 4), math.sin(n * math.pi / 50) * (5 if n % 2 else 4)) for n in range(100)]
+    many = [
+        (
+            math.cos(n * math.pi / 50) * (5 if n % 2 else 4),
+            math.sin(n * math.pi / 50) * (5 if n % 2 else 4),
+        )
+        for n in range(100)
+    ]
     case("star-of-100", obj(*prism(many)), "obj", area(many), 4 * 100 - 4, sdf=[[0, 0, 0.5, 0.5]])

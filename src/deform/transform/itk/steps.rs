@@ -20,8 +20,8 @@ impl ItkTransform {
         self.kind.split_once('_').unwrap_or((&self.kind, ""))
     }
 
-    /// Whether this is a B-spline of order 0. ITK takes every point as outside of its grid, and moves
-    /// nothing.
+    /// Whether this is a B-spline of order 0. ITK takes every point as outside of its grid, and
+    /// moves nothing.
     pub fn is_spline_of_order_0(&self) -> bool {
         let (name, dimensions) = self.name_and_dimensions();
         name == "BSplineTransform" && dimensions.ends_with("_3_3_0")

@@ -76,9 +76,9 @@ fn spacing(header: &Header) -> (DVec3, Vec<String>) {
     (spacing, notices)
 }
 
-/// Analyze states neither left and right nor a position; SPM writes the voxel at the origin, counted
-/// from 1, in the field `originator`, and takes the image's centre without it. The same voxels count
-/// as plausible as in nibabel.
+/// Analyze states neither left and right nor a position; SPM writes the voxel at the origin,
+/// counted from 1, in the field `originator`, and takes the image's centre without it. The same
+/// voxels count as plausible as in nibabel.
 fn analyze(header: &mut Header, spacing: DVec3, size: [usize; 3]) -> DAffine3 {
     header.warnings.push("is in Analyze format, which does not state left and right; its first axis is assumed to run from right to left".into());
     let ras_from_centered = DAffine3::from_scale(spacing * DVec3::new(-1.0, 1.0, 1.0));

@@ -329,8 +329,8 @@ impl Header {
         Rescale { slope, intercept }
     }
 
-    /// SPM's scaling of Analyze files: a slope (SPM99) and an intercept (SPM2) in fields that Analyze
-    /// does not use, else the ranges of stored and calibrated values (SPM's spm_vol_ana.m).
+    /// SPM's scaling of Analyze files: a slope (SPM99) and an intercept (SPM2) in fields that
+    /// Analyze does not use, else the ranges of stored and calibrated values (SPM's spm_vol_ana.m).
     fn analyze_rescale(&mut self, slope: f64, intercept: f64) -> Rescale {
         let rescale = if slope.is_finite() && slope != 0.0 {
             Rescale {

@@ -259,3 +259,20 @@ fn describe(
     }
     image.meaning = Meaning::Labels(labels.into_values().collect());
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_of_every_layer_has_a_label_of_its_own() {
+        let used = BTreeSet::from([(0, 1), (0, 2), (1, 1), (1, 7), (2, 7), (2, 1)]);
+        let labels = unique_labels(&used).unwrap_or_default();
+        let unique: BTreeSet<u32> = labels.values().copied().collect();
+        assert_eq!(unique.len(), used.len());
+        assert_eq!(labels.get(&(0, 1)), Some(&1));
+        assert_eq!(labels.get(&(1, 7)), Some(&7));
+        assert_eq!(labels.get(&(1, 1)), Some(&8));
+        assert!(unique_labels(&BTreeSet::from([(0, u32::MAX), (1, u32::MAX)])).is_none());
+    }
+}

@@ -1,8 +1,8 @@
 //! The values of an NRRD file: raw, gzip, bzip2, text or hex, in one data file or many.
 //!
 //! Lines are skipped in the file as stored, then bytes: of the file, or of what a compressed stream
-//! unpacks to. A byte skip of -1 means that the values are the last bytes, -N that N - 1 more follow
-//! them (teem, `nrrdByteSkip` and its encodings).
+//! unpacks to. A byte skip of -1 means that the values are the last bytes, -N that N - 1 more
+//! follow them (teem, `nrrdByteSkip` and its encodings).
 
 use super::super::super::StoredValues;
 use super::super::ScalarType;
