@@ -229,11 +229,20 @@ pub fn damaged_files_are_named() {
         (70, 77, "unknown type 77"),
         // The header of NIfTI-2 is longer than this file.
         (0, 540, "truncated"),
-        (0, 11, "not a NIfTI file"),
     ] {
         let message = error(&changed(at, value), "bad.nii");
         assert!(message.contains(what) && message.contains("bad.nii"), "{message}");
     }
+    // The magic number counts, not the size of the header.
+    let odd = read(&changed(0, 11).write(folder.path(), "odd.nii")).unwrap();
+    assert!(
+        odd.warnings.iter().any(|w| w.contains("header size of 11")),
+        "{:?}",
+        odd.warnings
+    );
+    let mut unmarked = changed(0, 11);
+    unmarked.bytes[344..348].copy_from_slice(b"none");
+    assert!(error(&unmarked, "unmarked.nii").contains("not a NIfTI file"));
     let mut huge = small();
     for n in 0..3 {
         huge.i16(42 + 2 * n, 32767);

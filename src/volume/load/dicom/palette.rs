@@ -162,7 +162,7 @@ mod tests {
         let data = [0, 2, 10, 20, 1, 2, 40, 2, 2, 0, 0];
         assert_eq!(expanded(&data, 8, 2), [10, 20, 30, 40, 10, 20, 30, 40]);
         // A linear segment without an entry before it, and one that is cut off.
-        assert_eq!(expanded(&[1, 2, 40], 8, 2), []);
+        assert_eq!(expanded(&[1, 2, 40], 8, 2), Vec::<u16>::new());
         assert_eq!(expanded(&[0, 9, 1], 8, 2), [1]);
     }
 }

@@ -27,7 +27,7 @@ const OWN_PIXELS: f64 = 128.0;
 /// Smallest voxel of such a grid, and its largest number of voxels along an axis and altogether.
 const MIN_OWN_MM: f64 = 1e-3;
 const MAX_OWN_EXTENT: f64 = 2048.0;
-const MAX_OWN_VOXELS: f64 = (1u64 << 26) as f64;
+const MAX_OWN_VOXELS: f64 = (1u64 << 24) as f64;
 
 /// The grid of an image.
 struct ImageGrid {

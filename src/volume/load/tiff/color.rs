@@ -2,11 +2,11 @@
 //!
 //! Source: TIFF 6.0 sections 16 (CMYK), 20 (ReferenceBlackWhite) and 21 (YCbCr).
 
-use super::directory::{Directory, TiffFile, tag};
+use super::directory::{Directory, TiffReader, tag};
 use crate::Result;
 
 /// Whether the colour table is a ramp from black to white, so that its indices are grey values.
-pub(super) fn is_grey_ramp(file: &mut TiffFile, directory: &Directory) -> Result<bool> {
+pub(super) fn is_grey_ramp(file: &mut TiffReader, directory: &Directory) -> Result<bool> {
     let Some(table) = file.integers(directory, tag::COLOR_MAP)? else {
         return Ok(false);
     };
@@ -31,7 +31,7 @@ pub(super) fn of_cmyk(values: &[u8], samples: usize) -> Vec<u8> {
 }
 
 /// Rejects colour differences of lower resolution, which are read only from JPEG.
-pub(super) fn check_subsampling(file: &mut TiffFile, directory: &Directory) -> Result<()> {
+pub(super) fn check_subsampling(file: &mut TiffReader, directory: &Directory) -> Result<()> {
     let stated = file.integers(directory, tag::YCBCR_SUBSAMPLING)?;
     match stated.as_deref() {
         Some([1, 1]) => Ok(()),
@@ -51,7 +51,7 @@ pub(super) struct YCbCr {
 
 impl YCbCr {
     /// From a directory; by default as in TIFF 6.0.
-    pub fn of(file: &mut TiffFile, directory: &Directory) -> Result<Self> {
+    pub fn of(file: &mut TiffReader, directory: &Directory) -> Result<Self> {
         let three = |values: Option<Vec<f64>>| -> Option<[f64; 3]> { values?.try_into().ok() };
         let luma = three(file.reals(directory, tag::YCBCR_COEFFICIENTS)?)
             .filter(|l| l.iter().all(|v| v.is_finite()) && l[1] > 0.0)

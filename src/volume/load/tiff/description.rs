@@ -8,7 +8,7 @@
 //! The resolution of a plain TIFF is that of printing, or that of a camera's plane, and says
 //! nothing of the distance of slices. It is quoted in a notice and not used.
 
-use super::directory::{Directory, TiffFile, tag};
+use super::directory::{Directory, TiffReader, tag};
 use super::metadata::{Description, DescriptionKind, mm_of};
 use super::ome;
 use super::page::PageFormat;
@@ -22,7 +22,7 @@ use serde_json::Value;
 const MAX_XML_BYTES: u64 = 256 << 20;
 
 /// The description in the first page, which applies to all.
-pub(super) fn described(file: &mut TiffFile, directories: &[Directory]) -> Result<Description> {
+pub(super) fn described(file: &mut TiffReader, directories: &[Directory]) -> Result<Description> {
     let Some(first) = directories.first() else {
         return Ok(Description::default());
     };
@@ -48,7 +48,7 @@ pub(super) fn described(file: &mut TiffFile, directories: &[Directory]) -> Resul
 }
 
 /// OME-XML, in the file or in the one that it names.
-fn of_ome(file: &TiffFile, text: &str) -> Result<Description> {
+fn of_ome(file: &TiffReader, text: &str) -> Result<Description> {
     let Some(name) = ome::companion(text) else {
         return Ok(ome::parse(text));
     };
@@ -64,13 +64,13 @@ fn of_ome(file: &TiffFile, text: &str) -> Result<Description> {
 }
 
 /// Pixels per unit, as the length of a pixel.
-fn pixel_length(file: &mut TiffFile, directory: &Directory, tag: u16) -> Result<Option<f64>> {
+fn pixel_length(file: &mut TiffReader, directory: &Directory, tag: u16) -> Result<Option<f64>> {
     let per_unit = file.reals(directory, tag)?.and_then(|v| v.first().copied());
     Ok(per_unit.filter(|n| n.is_finite() && *n > 0.0).map(|n| 1.0 / n))
 }
 
 /// The resolution of a plain file.
-fn unused_resolution(file: &mut TiffFile, directory: &Directory) -> Result<Option<String>> {
+fn unused_resolution(file: &mut TiffReader, directory: &Directory) -> Result<Option<String>> {
     let (unit, mm) = match file.integer(directory, tag::RESOLUTION_UNIT)? {
         // An inch unless it is stated.
         None | Some(2) => ("inch", 25.4),
@@ -91,7 +91,7 @@ fn unused_resolution(file: &mut TiffFile, directory: &Directory) -> Result<Optio
 }
 
 /// ImageJ's description: `name=value` lines.
-fn of_imagej(file: &mut TiffFile, directory: &Directory, text: &str) -> Result<Description> {
+fn of_imagej(file: &mut TiffReader, directory: &Directory, text: &str) -> Result<Description> {
     let (mut metadata, units) = imagej(text);
     let mut units = units.map(|u| u.map(|u| unescaped(&u)));
     // As in ImageJ, the unit of the tag is used if the description has none; 72 per inch is the
@@ -231,7 +231,7 @@ fn shape_of(text: &str) -> Option<(Vec<usize>, Option<String>)> {
 
 /// The extents of an array that tifffile has written.
 fn of_shape(
-    file: &mut TiffFile,
+    file: &mut TiffReader,
     directory: &Directory,
     shape: &[usize],
     axes: Option<&str>,
@@ -310,12 +310,12 @@ fn axis_places(axes: &[(usize, Option<char>)]) -> Option<Vec<usize>> {
 }
 
 /// Zeiss LSM: sizes as 32-bit and lengths in metres as 64-bit numbers.
-fn of_lsm(file: &mut TiffFile, directory: &Directory) -> Result<Description> {
+fn of_lsm(file: &mut TiffReader, directory: &Directory) -> Result<Description> {
     let mut metadata = Description::new(DescriptionKind::Lsm);
     let bytes = file.bytes_of_tag(directory, tag::LSM)?.unwrap_or_default();
     let number =
-        |file: &TiffFile, at: usize, length: usize| bytes.get(at..at + length).map(|b| file.number_in(b));
-    let extent = |file: &TiffFile, at| number(file, at, 4).map(|n| (n as usize).max(1));
+        |file: &TiffReader, at: usize, length: usize| bytes.get(at..at + length).map(|b| file.number_in(b));
+    let extent = |file: &TiffReader, at| number(file, at, 4).map(|n| (n as usize).max(1));
     if let (Some(slices), Some(times)) = (extent(file, 16), extent(file, 24)) {
         metadata.extents = Some([slices, 1, times]);
     }

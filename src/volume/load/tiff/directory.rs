@@ -132,7 +132,7 @@ fn bytes_of(kind: u16) -> u64 {
 }
 
 /// An open file.
-pub(super) struct TiffFile {
+pub(super) struct TiffReader {
     pub path: PathBuf,
     reader: BufReader<File>,
     /// Its length.
@@ -142,7 +142,7 @@ pub(super) struct TiffFile {
     wide: bool,
 }
 
-impl TiffFile {
+impl TiffReader {
     /// Opens a file and reads its directories.
     ///
     /// # Errors

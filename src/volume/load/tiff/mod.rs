@@ -28,7 +28,7 @@ use super::planes::StatedSlice;
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result, Watch};
 use description::described;
-use directory::TiffFile;
+use directory::TiffReader;
 use glam::{DAffine3, DVec3};
 use page::PageFormat;
 use pages::{Dimensions, Pages};
@@ -45,7 +45,7 @@ pub fn is_tiff(path: &Path) -> bool {
 pub(super) fn single_page(path: &Path) -> Result<StatedSlice> {
     let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
     catch_panic(|| {
-        let (mut file, directories) = TiffFile::open(path)?;
+        let (mut file, directories) = TiffReader::open(path)?;
         let slice = pages::single_page(&mut file, &directories)?;
         let format = PageFormat::of(&mut file, &directories[0])?;
         let metadata = described(&mut file, &directories)?;
@@ -65,7 +65,7 @@ pub(super) fn single_page(path: &Path) -> Result<StatedSlice> {
 /// Whether a file is one of several that hold one image.
 pub(super) fn is_part_of_image(path: &Path) -> bool {
     catch_panic(|| {
-        let (mut file, directories) = TiffFile::open(path).ok()?;
+        let (mut file, directories) = TiffReader::open(path).ok()?;
         let metadata = described(&mut file, &directories).ok()?;
         Some(pages::spans_files(&metadata))
     })
@@ -81,7 +81,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
 
 /// Reads all pages; [`read`] turns a panic of a decoder into an error.
 fn read_unguarded(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
-    let (mut file, directories) = TiffFile::open(path)?;
+    let (mut file, directories) = TiffReader::open(path)?;
     let mut metadata = described(&mut file, &directories)?;
     let slices = pages::slice_pages(&mut file, &directories, &mut metadata.notices)?;
     let first = slices.first().and_then(|page| directories.get(*page));

@@ -16,7 +16,7 @@ use super::super::planes::ImageSlice;
 use super::super::source::{RawScalar, check_held, with_scalar, zeroed};
 use super::codec::{Chunk, Compression};
 use super::color;
-use super::directory::{Directory, TiffFile, tag};
+use super::directory::{Directory, TiffReader, tag};
 use super::samples::{Predictor, RowFormat, SampleKind};
 use crate::{Error, Result};
 use ndarray::Axis;
@@ -87,8 +87,8 @@ impl PageFormat {
     ///
     /// # Errors
     /// A damaged directory, or a property that is not supported, by its name.
-    pub fn of(file: &mut TiffFile, directory: &Directory) -> Result<Self> {
-        let integer = |file: &mut TiffFile, t: u16| file.integer(directory, t);
+    pub fn of(file: &mut TiffReader, directory: &Directory) -> Result<Self> {
+        let integer = |file: &mut TiffReader, t: u16| file.integer(directory, t);
         let (width, height) = (integer(file, tag::WIDTH)?, integer(file, tag::HEIGHT)?);
         let size = match (width, height) {
             (Some(w @ 1..=0xffff_ffff), Some(h @ 1..=0xffff_ffff)) => [w as usize, h as usize],
@@ -205,7 +205,7 @@ impl PageFormat {
     }
 
     /// Rejects a page, of which there are `count`, that the file cannot contain.
-    pub fn check_held(&self, file: &TiffFile, count: u64) -> Result<()> {
+    pub fn check_held(&self, file: &TiffReader, count: u64) -> Result<()> {
         let most = if self.compression == Compression::None && !self.tiled {
             // Pages may share their pixels.
             file.bytes
@@ -254,7 +254,7 @@ impl PageFormat {
 
     /// Reads the values of a page whose strips or tiles begin `shift` bytes after the stated
     /// places.
-    pub fn read(&self, file: &mut TiffFile, directory: &Directory, shift: u64) -> Result<ImageSlice> {
+    pub fn read(&self, file: &mut TiffReader, directory: &Directory, shift: u64) -> Result<ImageSlice> {
         self.check_held(file, 1)?;
         if self.samples < self.color_samples() {
             return Err(file.error("has fewer samples than its colours need; it is damaged"));
@@ -274,7 +274,7 @@ impl PageFormat {
     /// Colours as red, green and blue; without samples that are left out.
     fn converted(
         &self,
-        file: &mut TiffFile,
+        file: &mut TiffReader,
         directory: &Directory,
         values: StoredValues,
     ) -> Result<StoredValues> {
@@ -306,7 +306,7 @@ impl PageFormat {
     }
 
     /// What a user must know about the values.
-    pub fn notices(&self, file: &mut TiffFile, directory: &Directory) -> Result<Vec<String>> {
+    pub fn notices(&self, file: &mut TiffReader, directory: &Directory) -> Result<Vec<String>> {
         let mut notices = Vec::new();
         let mut note = |text: &str| notices.push(text.to_owned());
         match self.photometric {
@@ -349,7 +349,7 @@ impl PageFormat {
 }
 
 /// Type, bits and predictor of the samples.
-fn row_format(file: &mut TiffFile, directory: &Directory, samples: usize) -> Result<RowFormat> {
+fn row_format(file: &mut TiffReader, directory: &Directory, samples: usize) -> Result<RowFormat> {
     let bits = file.integers(directory, tag::BITS)?.unwrap_or_else(|| vec![1]);
     let formats = file.integers(directory, tag::SAMPLE_FORMAT)?.unwrap_or_default();
     let first = bits.first().copied().unwrap_or(1);
@@ -409,7 +409,7 @@ struct Chunks<'a> {
 }
 
 impl<'a> Chunks<'a> {
-    fn of(format: &'a PageFormat, file: &mut TiffFile, directory: &Directory, shift: u64) -> Result<Self> {
+    fn of(format: &'a PageFormat, file: &mut TiffReader, directory: &Directory, shift: u64) -> Result<Self> {
         let [offsets, lengths] = if format.tiled {
             [tag::TILE_OFFSETS, tag::TILE_BYTES]
         } else {
@@ -447,7 +447,7 @@ impl<'a> Chunks<'a> {
     }
 
     /// All values, the samples of a pixel together.
-    fn read<T: RawScalar>(&self, file: &mut TiffFile, convert: &dyn Fn(f64) -> T) -> Result<Vec<T>> {
+    fn read<T: RawScalar>(&self, file: &mut TiffReader, convert: &dyn Fn(f64) -> T) -> Result<Vec<T>> {
         let format = self.format;
         let (size, stored) = (format.size, format.row.samples);
         let planes = if format.planar { format.samples } else { 1 };
@@ -488,7 +488,7 @@ impl<'a> Chunks<'a> {
 
     /// The unpacked bytes of a strip or tile of `rows` rows within the page; none for one that was
     /// left out because it is empty.
-    fn chunk(&self, file: &mut TiffFile, index: usize, rows: usize) -> Result<Option<Vec<u8>>> {
+    fn chunk(&self, file: &mut TiffReader, index: usize, rows: usize) -> Result<Option<Vec<u8>>> {
         let format = self.format;
         let rows = if format.tiled { format.chunk[1] } else { rows };
         let damaged = |path: &Path, problem: &str| {

@@ -6,7 +6,7 @@ use super::super::planes::{ImageSlice, ImageStack};
 use super::super::source::{check_held, with_scalar, zeroed};
 use super::codec::Compression;
 
-use super::directory::{Directory, MAX_PAGES, TiffFile, tag};
+use super::directory::{Directory, MAX_PAGES, TiffReader, tag};
 use super::metadata::{Description, DescriptionKind};
 use super::page::{PageFormat, Photometric};
 use crate::files::reference::sibling_file;
@@ -63,7 +63,7 @@ pub(super) struct Pixels {
 /// The pages that are slices: not thumbnails, levels of a pyramid or masks of transparency, unless
 /// all are.
 pub(super) fn slice_pages(
-    file: &mut TiffFile,
+    file: &mut TiffReader,
     directories: &[Directory],
     notices: &mut Vec<String>,
 ) -> Result<Vec<usize>> {
@@ -89,7 +89,7 @@ pub(super) fn slice_pages(
 
 /// The place of every plane; none for planes that no file holds.
 pub(super) fn planes_of(
-    file: &mut TiffFile,
+    file: &mut TiffReader,
     directories: &[Directory],
     pages: &[usize],
     dimensions: &Dimensions,
@@ -122,7 +122,7 @@ pub(super) fn planes_of(
 }
 
 /// Bytes from one plane to the next behind a single directory.
-fn contiguous_step(file: &mut TiffFile, directory: &Directory) -> Result<u64> {
+fn contiguous_step(file: &mut TiffReader, directory: &Directory) -> Result<u64> {
     let format = PageFormat::of(file, directory)?;
     let offsets = file.integers(directory, tag::STRIP_OFFSETS)?.unwrap_or_default();
     let lengths = file.integers(directory, tag::STRIP_BYTES)?.unwrap_or_default();
@@ -140,7 +140,7 @@ fn contiguous_step(file: &mut TiffFile, directory: &Directory) -> Result<u64> {
 
 /// Planes where OME-XML places them.
 fn placed_planes(
-    file: &mut TiffFile,
+    file: &mut TiffReader,
     own_pages: usize,
     dimensions: &Dimensions,
     metadata: &mut Description,
@@ -170,7 +170,7 @@ fn placed_planes(
                     let pages = match (path.is_file(), block.count) {
                         (false, _) => None,
                         (true, Some(_)) => Some(usize::MAX),
-                        (true, None) => Some(TiffFile::open(&path)?.1.len()),
+                        (true, None) => Some(TiffReader::open(&path)?.1.len()),
                     };
                     page_counts.insert(name.clone(), pages);
                     pages
@@ -218,20 +218,20 @@ fn placed_planes(
 
 /// A file whose planes are being read, and the other one that was opened last.
 pub(super) struct Pages<'a> {
-    pub file: TiffFile,
+    pub file: TiffReader,
     pub directories: Vec<Directory>,
-    pub other: Option<(PathBuf, TiffFile, Vec<Directory>)>,
+    pub other: Option<(PathBuf, TiffReader, Vec<Directory>)>,
     pub watch: &'a Watch<'a>,
 }
 
 impl Pages<'_> {
     /// The file and the directory of a plane.
-    fn of(&mut self, plane: &PlacedPlane) -> Result<(&mut TiffFile, &Directory)> {
+    fn of(&mut self, plane: &PlacedPlane) -> Result<(&mut TiffReader, &Directory)> {
         let (file, directories) = match &plane.file {
             None => (&mut self.file, &self.directories),
             Some(path) => {
                 if self.other.as_ref().is_none_or(|(open, ..)| open != path) {
-                    let (file, directories) = TiffFile::open(path)?;
+                    let (file, directories) = TiffReader::open(path)?;
                     self.other = Some((path.clone(), file, directories));
                 }
                 match &mut self.other {
@@ -345,7 +345,7 @@ impl Pages<'_> {
 }
 
 /// The only page of a file that is one of several.
-pub(super) fn single_page(file: &mut TiffFile, directories: &[Directory]) -> Result<ImageSlice> {
+pub(super) fn single_page(file: &mut TiffReader, directories: &[Directory]) -> Result<ImageSlice> {
     let pages = slice_pages(file, directories, &mut Vec::new())?;
     match pages[..] {
         [page] => {
