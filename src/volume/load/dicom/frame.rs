@@ -1,9 +1,11 @@
 //! A frame: a plane of pixels with its geometry, and the storage of its pixels.
 
 use crate::volume::Rescale;
+use dicom_core::Tag;
 use glam::DVec3;
 use serde_json::{Value, json};
 use std::cmp::Ordering;
+use std::sync::Arc;
 
 /// The storage of pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -65,8 +67,21 @@ pub struct Frame {
     pub segment: u16,
     /// What tells it from other frames at the same position.
     pub keys: Vec<(u8, KeyValue)>,
+    /// Digests of all other attributes of its object, and of its own.
+    pub others: Arc<[(Tag, u64)]>,
+    pub own_others: Vec<(Tag, u64)>,
     /// Instance number.
     pub instance: Option<f64>,
+}
+
+impl Frame {
+    /// The digest of an attribute of the frame.
+    pub fn other(&self, tag: Tag) -> Option<u64> {
+        let all = self.own_others.iter().chain(&*self.others);
+        all.into_iter()
+            .find(|(t, _)| *t == tag)
+            .map(|(_, digest)| *digest)
+    }
 }
 
 /// The value of an attribute that tells frames apart.

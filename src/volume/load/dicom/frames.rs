@@ -3,13 +3,15 @@
 use super::attributes::FrameAttributes;
 use super::element::{item, number};
 use super::frame::{Frame, PixelFormat};
-use super::increments::Increments;
+use super::increments::{Increments, SliceDistance};
 use super::mosaic::Mosaic;
-use super::time_keys::keys_of;
+use super::time_keys::{keys_of, other_attributes, own_attributes};
 use crate::volume::Rescale;
+use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
 use glam::DVec3;
+use std::sync::Arc;
 
 /// Maximum number of frames in one object.
 const MAX_FRAMES: usize = 1 << 20;
@@ -32,6 +34,7 @@ pub fn frames(
     format: &PixelFormat,
     segmentation: bool,
     count: usize,
+    distance: SliceDistance,
     mosaic: Option<&Mosaic>,
 ) -> Result<Vec<Frame>, String> {
     let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
@@ -39,15 +42,17 @@ pub fn frames(
         .get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE)
         .and_then(|e| e.items())
         .unwrap_or(&[]);
-    let increments = Increments::of(set, count);
+    let increments = Increments::of(set, count, distance);
     let detectors = set
         .get(tags::DETECTOR_INFORMATION_SEQUENCE)
         .and_then(|e| e.items())
         .unwrap_or(&[]);
+    let others: Arc<[(Tag, u64)]> = other_attributes(set).into();
     let mut frames = Vec::with_capacity(count.min(4096));
     for n in 0..count {
+        let own = per_frame.get(n);
         let attributes = FrameAttributes {
-            own: per_frame.get(n),
+            own,
             shared,
             detector: increments.detector(n).and_then(|d| detectors.get(d)),
             object: set,
@@ -87,6 +92,8 @@ pub fn frames(
                 .unwrap_or(Rescale::NONE),
             segment: attributes.segment(),
             keys: keys_of(&attributes),
+            others: others.clone(),
+            own_others: own.map(own_attributes).unwrap_or_default(),
             instance: number(set, tags::INSTANCE_NUMBER),
         };
         match mosaic {

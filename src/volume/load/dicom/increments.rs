@@ -71,14 +71,14 @@ pub struct Increments {
 }
 
 impl Increments {
-    /// The increments of `count` frames.
-    pub fn of(set: &InMemDicomObject, count: usize) -> Self {
+    /// The increments of `count` frames at this distance, unless other attributes place them.
+    pub fn of(set: &InMemDicomObject, count: usize, distance: SliceDistance) -> Self {
         let vector = |tag: Tag| numbers(set, tag).filter(|v| v.len() == count);
         let detectors = vector(tags::DETECTOR_VECTOR)
             .map(|v| v.iter().map(|d| (*d - 1.0).max(0.0) as usize).collect())
             .unwrap_or_else(|| vec![0; count]);
         // The sign gives the direction (PS3.3 C.8.4.15).
-        let step = match SliceDistance::of(set) {
+        let step = match distance {
             SliceDistance::Stated(mm) => mm,
             other => other.mm(),
         };

@@ -16,6 +16,7 @@ mod characters;
 mod contour_plane;
 mod contour_stack;
 mod dataset;
+mod divider;
 mod element;
 mod elements;
 mod frame;
@@ -51,11 +52,12 @@ use frame::Frame;
 use object::Object;
 use scan::{ScanResult, scan};
 use serde_json::json;
-use series::{DicomSeries, chosen, described, places, series};
+use series::{DicomSeries, MAX_NAMED_POSITIONS, chosen, described, places, series};
 use std::collections::BTreeSet;
 use std::path::Path;
 use structure_volume::structure_volume;
 use syntax::syntax_name;
+use times::Certainty;
 use volume::volume;
 
 /// The description of a series, as shown by `info`.
@@ -100,16 +102,13 @@ pub fn list(path: &Path, patient: bool, watch: &Watch) -> Result<Vec<SeriesInfo>
 
 fn info(n: usize, series: &DicomSeries, objects: &[Object], patient: bool) -> SeriesInfo {
     let object = &objects[series.object];
+    let [columns, rows] = object.plane();
     SeriesInfo {
         number: n + 1,
         series_number: object.series_number,
         description: object.description.clone(),
         modality: object.modality.clone(),
-        size: [
-            usize::from(object.format.columns),
-            usize::from(object.format.rows),
-            places(&series.times[0]).len(),
-        ],
+        size: [columns, rows, places(&series.times[0]).len()],
         time_points: series.times.len(),
         uid: object.series.clone(),
         patient: patient.then(|| object.patient.clone()),
@@ -250,10 +249,37 @@ fn warn_of_frames(
             "holds {count} volumes at the same place{by}; the first is used (--time chooses another)"
         ));
     }
-    if series.ambiguous {
-        warnings.push(
+    match series.certainty {
+        Certainty::Certain => {}
+        Certainty::ByInstance => warnings.push(
+            "holds slices at the same position that nothing but their instance numbers tells apart; a volume may mix them".into(),
+        ),
+        Certainty::Ambiguous => warnings.push(
             "holds slices at the same position that no attribute tells apart; they are in the order of instance numbers and file names, and a volume may mix them".into(),
-        );
+        ),
+    }
+    if series.unplaced > 0 {
+        warnings.push(format!(
+            "{} slices do not state their position and are left out",
+            series.unplaced
+        ));
+    }
+    let counts: Vec<usize> = series.times.iter().map(Vec::len).collect();
+    if counts.iter().any(|c| *c != counts[0]) {
+        let some: Vec<String> = counts
+            .iter()
+            .take(MAX_NAMED_POSITIONS)
+            .map(usize::to_string)
+            .collect();
+        let more = if counts.len() > MAX_NAMED_POSITIONS {
+            ", ..."
+        } else {
+            ""
+        };
+        warnings.push(format!(
+            "its volumes have different numbers of slices: {}{more}",
+            some.join(", ")
+        ));
     }
     let references: BTreeSet<&str> = series
         .times

@@ -260,7 +260,8 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         Ok(mosaic) => (mosaic, None),
         Err(warning) => (None, Some(warning)),
     };
-    let frames = frames(set, &format, segmentation, pictures, mosaic.as_ref()).map_err(fail)?;
+    let distance = slice_distance(set);
+    let frames = frames(set, &format, segmentation, pictures, distance, mosaic.as_ref()).map_err(fail)?;
     Ok(Some(Object {
         instance: text(set, tags::SOP_INSTANCE_UID),
         segments_as: segments_as(set, &class),
@@ -277,7 +278,7 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
             ..pixels
         },
         tile: mosaic.map(|m| m.tile),
-        slice_distance: slice_distance(set),
+        slice_distance: distance,
         reference: text(set, tags::FRAME_OF_REFERENCE_UID),
         units: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
             .into_iter()

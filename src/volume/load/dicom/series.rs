@@ -7,7 +7,7 @@
 use super::frame::Frame;
 use super::object::Object;
 use super::pixels::same_pixels;
-use super::times::{Division, TimePoints, divide};
+use super::times::{Certainty, Division, TimePoints, divide};
 use crate::volume::load::slices::natural;
 use crate::{Error, Result};
 use glam::DVec3;
@@ -35,8 +35,10 @@ pub struct DicomSeries {
     pub by: TimePoints,
     /// Number of omitted frames that share a position with another one.
     pub duplicates: usize,
-    /// Whether frames at the same position could not be told apart by any attribute.
-    pub ambiguous: bool,
+    /// Number of omitted frames that do not state their position, unlike the others.
+    pub unplaced: usize,
+    /// How far frames at the same position could be told apart.
+    pub certainty: Certainty,
 }
 
 impl DicomSeries {
@@ -47,7 +49,8 @@ impl DicomSeries {
             times: vec![frames],
             by: TimePoints::default(),
             duplicates: 0,
-            ambiguous: false,
+            unplaced: 0,
+            certainty: Certainty::Certain,
         }
     }
 }
@@ -125,8 +128,8 @@ pub fn normal(frame: &Frame) -> DVec3 {
     frame.along[0].cross(frame.along[1]).normalize_or(DVec3::Z)
 }
 
-/// Modality and number of a series; objects may lack them.
-type SeriesNames<'a> = HashMap<&'a str, (&'a str, Option<i64>)>;
+/// Modality, number and patient of a series; objects may lack them.
+type SeriesNames<'a> = HashMap<&'a str, (&'a str, Option<i64>, &'a str)>;
 
 /// What the frames of a series have in common, exactly.
 fn common(object: &Object, names: &SeriesNames) -> String {
@@ -139,13 +142,17 @@ fn common(object: &Object, names: &SeriesNames) -> String {
         stated => stated,
     };
     let [columns, rows] = object.plane();
+    let patient = match object.patient[1].as_str() {
+        "" => usual.2,
+        stated => stated,
+    };
     format!(
-        "{series} {number} {modality} {segmentation} {rows} {columns} {} {}",
+        "{series} {patient} {number} {modality} {segmentation} {rows} {columns} {} {}",
         f.samples, f.photometric
     )
 }
 
-/// The modalities and numbers that objects of each series state.
+/// The modality, number and patient that objects of each series state.
 fn names(objects: &[Object]) -> SeriesNames<'_> {
     let mut names = SeriesNames::new();
     for object in objects {
@@ -154,6 +161,9 @@ fn names(objects: &[Object]) -> SeriesNames<'_> {
             entry.0 = &object.modality;
         }
         entry.1 = entry.1.or(object.series_number);
+        if entry.2.is_empty() {
+            entry.2 = &object.patient[1];
+        }
     }
     names
 }
@@ -274,6 +284,13 @@ pub fn places(frames: &[Frame]) -> Vec<f64> {
 fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     let object = frames.first().map_or(0, |f| f.object);
     let one = |frames: Vec<Frame>| DicomSeries::of_one(object, frames);
+    // A few slices without a position among others that state it cannot be placed.
+    let all = frames.len();
+    if frames.iter().filter(|f| f.position.is_none()).count() * 2 < all {
+        frames.retain(|f| f.position.is_some());
+    }
+    let unplaced = all - frames.len();
+    let object = frames.first().map_or(object, |f| f.object);
     if frames.iter().any(|f| f.position.is_none()) {
         sort_unplaced(&mut frames, objects);
         return one(frames);
@@ -294,7 +311,7 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
     for n in 1..frames.len() {
         stack[n] = stack[n - 1] + usize::from(at[n] - at[n - 1] > tolerance);
     }
-    let division = divide(&frames, &stack);
+    let division = divide(&frames, &stack, &at);
     let division = without_copies(division, &frames, &stack, objects);
     let mut times: Vec<Vec<Frame>> = division
         .volumes
@@ -310,13 +327,14 @@ fn sorted(mut frames: Vec<Frame>, objects: &[Object]) -> DicomSeries {
         times,
         by: division.by,
         duplicates: division.duplicates.len(),
-        ambiguous: division.ambiguous,
+        unplaced,
+        certainty: division.certainty,
     }
 }
 
 /// Where no attribute tells frames apart, those with the same pixels are copies.
 fn without_copies(mut division: Division, frames: &[Frame], stack: &[usize], objects: &[Object]) -> Division {
-    if !division.ambiguous {
+    if division.certainty != Certainty::Ambiguous {
         return division;
     }
     let mut known: HashMap<usize, Vec<usize>> = HashMap::new();
@@ -345,7 +363,9 @@ fn without_copies(mut division: Division, frames: &[Frame], stack: &[usize], obj
     let largest = volumes.iter().map(Vec::len).max().unwrap_or(0);
     let (volumes, few): (Vec<_>, Vec<_>) = volumes.into_iter().partition(|v| 2 * v.len() >= largest);
     division.duplicates.extend(few.concat());
-    division.ambiguous = volumes.len() > 1;
+    if volumes.len() < 2 {
+        division.certainty = Certainty::Certain;
+    }
     if volumes.len() != division.volumes.len() {
         division.by = TimePoints::default();
     }

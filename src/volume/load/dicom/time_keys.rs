@@ -8,8 +8,10 @@ use super::attributes::FrameAttributes;
 use super::element::{item, numbers, private_number, text, vector};
 use super::frame::KeyValue;
 use dicom_core::Tag;
+use dicom_core::value::Value;
 use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
+use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// An attribute by which frames are told apart.
 pub struct TimeKey {
@@ -22,6 +24,11 @@ pub struct TimeKey {
     pub relative: bool,
     /// Whether its values have no natural order.
     pub is_unordered: bool,
+    /// Whether volumes that differ in it are apart even if their planes do not coincide. Parts of
+    /// one volume may differ in their times and acquisition numbers.
+    pub parts_volumes: bool,
+    /// Whether it says nothing about what differs.
+    pub is_guess: bool,
     read: fn(&FrameAttributes) -> Option<KeyValue>,
 }
 
@@ -30,7 +37,7 @@ pub const ACQUISITION_TIME: &str = "acquisition time (s)";
 pub const INSTANCE_NUMBER: &str = "instance number";
 
 /// The keys, the most telling first.
-pub static KEYS: [TimeKey; 34] = [
+pub static KEYS: [TimeKey; 37] = [
     key("dimension index", dimension_index),
     key("temporal position", |a| {
         first(&[
@@ -40,7 +47,14 @@ pub static KEYS: [TimeKey; 34] = [
     }),
     key("time slot", |a| a.in_vector(tags::TIME_SLOT_VECTOR)),
     key("heartbeat interval", |a| a.in_vector(tags::RR_INTERVAL_VECTOR)),
-    key("time slice", |a| a.in_vector(tags::TIME_SLICE_VECTOR)),
+    key("time slice", |a| {
+        a.in_vector(tags::TIME_SLICE_VECTOR).or_else(|| {
+            // Images of a dynamic PET count slices, then times (PS3.3 C.8.9.4.1.9).
+            let (index, slices) = (a.number(tags::IMAGE_INDEX)?, a.number(tags::NUMBER_OF_SLICES)?);
+            let times = a.number(tags::NUMBER_OF_TIME_SLICES)?;
+            (slices >= 1.0 && times > 1.0).then(|| KeyValue::Number(((index - 1.0) / slices).floor() + 1.0))
+        })
+    }),
     key("phase", |a| a.in_vector(tags::PHASE_VECTOR)),
     key("energy window", |a| a.in_vector(tags::ENERGY_WINDOW_VECTOR)),
     key("detector", |a| a.in_vector(tags::DETECTOR_VECTOR)),
@@ -60,10 +74,7 @@ pub static KEYS: [TimeKey; 34] = [
     }),
     key("echo number", |a| first(&[a.number(tags::ECHO_NUMBERS)])),
     key("b-value (s/mm²)", b_value),
-    TimeKey {
-        is_unordered: true,
-        ..key("diffusion direction", diffusion_direction)
-    },
+    unordered("diffusion direction", diffusion_direction),
     key("inversion time (ms)", |a| {
         first(&[
             a.in_group(tags::MR_MODIFIER_SEQUENCE, tags::INVERSION_TIMES),
@@ -83,6 +94,12 @@ pub static KEYS: [TimeKey; 34] = [
                 tags::REPETITION_TIME,
             ),
             a.number(tags::REPETITION_TIME),
+        ])
+    }),
+    key("slice thickness (mm)", |a| {
+        first(&[
+            a.in_group(tags::PIXEL_MEASURES_SEQUENCE, tags::SLICE_THICKNESS),
+            a.number(tags::SLICE_THICKNESS),
         ])
     }),
     key("tube voltage (kV)", |a| first(&[a.number(tags::KVP)])),
@@ -118,12 +135,15 @@ pub static KEYS: [TimeKey; 34] = [
         first(&[a.number(tags::FRAME_REFERENCE_TIME)])
     }),
     key("image type", image_type),
-    key(ACQUISITION_NUMBER, |a| {
-        first(&[
-            a.in_group(tags::FRAME_CONTENT_SEQUENCE, tags::FRAME_ACQUISITION_NUMBER),
-            a.number(tags::ACQUISITION_NUMBER),
-        ])
-    }),
+    TimeKey {
+        parts_volumes: false,
+        ..key(ACQUISITION_NUMBER, |a| {
+            first(&[
+                a.in_group(tags::FRAME_CONTENT_SEQUENCE, tags::FRAME_ACQUISITION_NUMBER),
+                a.number(tags::ACQUISITION_NUMBER),
+            ])
+        })
+    },
     clocked(ACQUISITION_TIME, acquisition_time),
     clocked("content time (s)", |a| {
         clock(a.object, tags::CONTENT_DATE, tags::CONTENT_TIME).map(KeyValue::Number)
@@ -138,16 +158,21 @@ pub static KEYS: [TimeKey; 34] = [
     key("kernel", |a| some_text(text(a.object, tags::CONVOLUTION_KERNEL))),
     key("units", |a| some_text(text(a.object, tags::UNITS))),
     key("comment", |a| some_text(text(a.object, tags::IMAGE_COMMENTS))),
+    unordered("series description", |a| {
+        some_text(text(a.object, tags::SERIES_DESCRIPTION))
+    }),
+    unordered("study", |a| some_text(text(a.object, tags::STUDY_INSTANCE_UID))),
+    unordered("frame of reference", |a| {
+        some_text(text(a.object, tags::FRAME_OF_REFERENCE_UID))
+    }),
     TimeKey {
-        is_unordered: true,
-        ..key("frame of reference", |a| {
-            some_text(text(a.object, tags::FRAME_OF_REFERENCE_UID))
+        parts_volumes: false,
+        is_guess: true,
+        ..running(INSTANCE_NUMBER, |a| {
+            let instance = a.number(tags::INSTANCE_NUMBER)?;
+            Some(KeyValue::Number(instance))
         })
     },
-    running(INSTANCE_NUMBER, |a| {
-        let instance = a.number(tags::INSTANCE_NUMBER)?;
-        Some(KeyValue::Number(instance))
-    }),
 ];
 
 const fn key(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyValue>) -> TimeKey {
@@ -156,27 +181,31 @@ const fn key(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyValue>)
         runs_on: false,
         relative: false,
         is_unordered: false,
+        parts_volumes: true,
+        is_guess: false,
         read,
+    }
+}
+
+const fn unordered(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyValue>) -> TimeKey {
+    TimeKey {
+        is_unordered: true,
+        ..key(name, read)
     }
 }
 
 const fn running(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyValue>) -> TimeKey {
     TimeKey {
-        name,
         runs_on: true,
-        relative: false,
-        is_unordered: false,
-        read,
+        ..key(name, read)
     }
 }
 
 const fn clocked(name: &'static str, read: fn(&FrameAttributes) -> Option<KeyValue>) -> TimeKey {
     TimeKey {
-        name,
-        runs_on: true,
         relative: true,
-        is_unordered: false,
-        read,
+        parts_volumes: false,
+        ..running(name, read)
     }
 }
 
@@ -297,8 +326,12 @@ fn clock(set: &InMemDicomObject, date: Tag, time: Tag) -> Option<f64> {
 /// Seconds of `YYYYMMDDHHMMSS.FFFFFF`.
 fn date_time(stamp: &str) -> Option<f64> {
     let (date, time) = stamp.split_at_checked(8)?;
-    let time = time.split(['+', '-']).next().unwrap_or("");
-    Some(days(date)? * 86_400.0 + seconds_of_day(time).unwrap_or(0.0))
+    let sign = time.find(['+', '-']);
+    let (time, zone) = time.split_at(sign.unwrap_or(time.len()));
+    // Offset from UTC, `+HHMM`.
+    let offset = zone.get(1..).and_then(seconds_of_day).unwrap_or(0.0);
+    let offset = if zone.starts_with('-') { -offset } else { offset };
+    Some(days(date)? * 86_400.0 + seconds_of_day(time).unwrap_or(0.0) - offset)
 }
 
 /// Seconds of `HHMMSS.FFFFFF`, also with colons; minutes and seconds may be missing.
@@ -325,6 +358,59 @@ fn days(date: &str) -> Option<f64> {
     Some((365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day) as f64)
 }
 
+/// Attributes that differ from frame to frame of one volume, or say nothing about it.
+const OF_ONE_FRAME: [Tag; 22] = [
+    tags::SOP_INSTANCE_UID,
+    tags::INSTANCE_CREATION_DATE,
+    tags::INSTANCE_CREATION_TIME,
+    tags::INSTANCE_NUMBER,
+    tags::ACQUISITION_NUMBER,
+    tags::IMAGE_POSITION_PATIENT,
+    tags::IMAGE_ORIENTATION_PATIENT,
+    tags::SLICE_LOCATION,
+    tags::TABLE_POSITION,
+    tags::IMAGE_INDEX,
+    tags::SMALLEST_IMAGE_PIXEL_VALUE,
+    tags::LARGEST_IMAGE_PIXEL_VALUE,
+    tags::SMALLEST_PIXEL_VALUE_IN_SERIES,
+    tags::LARGEST_PIXEL_VALUE_IN_SERIES,
+    tags::PIXEL_PADDING_VALUE,
+    tags::WINDOW_CENTER,
+    tags::WINDOW_WIDTH,
+    tags::RESCALE_SLOPE,
+    tags::RESCALE_INTERCEPT,
+    tags::IN_STACK_POSITION_NUMBER,
+    tags::DIMENSION_INDEX_VALUES,
+    tags::PIXEL_DATA,
+];
+/// Longer values are not compared, bytes.
+const MAX_COMPARED_BYTES: usize = 256;
+
+/// Digests of the single values of a data set, by tag.
+pub fn other_attributes(set: &InMemDicomObject) -> Vec<(Tag, u64)> {
+    set.iter()
+        .filter(|e| !OF_ONE_FRAME.contains(&e.header().tag))
+        .filter_map(|e| {
+            let bytes = match e.value() {
+                Value::Primitive(value) => value.to_bytes(),
+                _ => return None,
+            };
+            let mut hasher = DefaultHasher::new();
+            bytes.hash(&mut hasher);
+            (bytes.len() <= MAX_COMPARED_BYTES).then(|| (e.header().tag, hasher.finish()))
+        })
+        .collect()
+}
+
+/// As [`other_attributes`], of the functional groups of one frame.
+pub fn own_attributes(groups: &InMemDicomObject) -> Vec<(Tag, u64)> {
+    groups
+        .iter()
+        .filter_map(|e| e.items()?.first())
+        .flat_map(other_attributes)
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -340,7 +426,7 @@ mod tests {
         assert_eq!(between("20231231", "20240101"), Some(1.0));
         assert_eq!(
             date_time("20240101000001.25+0100")
-                .zip(date_time("20231231235959"))
+                .zip(date_time("20231231225959+0000"))
                 .map(|(b, a)| b - a),
             Some(2.25)
         );
