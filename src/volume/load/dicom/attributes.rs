@@ -118,6 +118,14 @@ impl<'a> FrameAttributes<'a> {
         (of_detector.or(nominal).unwrap_or_default(), of_detector.is_some())
     }
 
+    /// Distance between rows relative to that between columns, where only this is stated.
+    pub fn aspect(&self) -> f64 {
+        let ratio = vector::<2>(self.object, tags::PIXEL_ASPECT_RATIO);
+        ratio
+            .filter(|[rows, columns]| *rows > 0.0 && *columns > 0.0)
+            .map_or(1.0, |[rows, columns]| rows / columns)
+    }
+
     /// The rescale; none if neither slope nor intercept is stated. A missing slope, or 0, is 1.
     pub fn rescale(&self) -> Option<Rescale> {
         let transform = self.group_or_object(tags::PIXEL_VALUE_TRANSFORMATION_SEQUENCE);

@@ -60,6 +60,8 @@ pub struct Frame {
     pub along: [DVec3; 2],
     /// Distance between columns and between rows, mm.
     pub spacing: [f64; 2],
+    /// Distance between rows relative to that between columns, where only this is stated.
+    pub aspect: f64,
     /// Whether this is the spacing in the plane of the detector.
     pub at_detector: bool,
     pub rescale: Rescale,

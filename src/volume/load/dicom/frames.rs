@@ -86,6 +86,7 @@ pub fn frames(
             along: [along, down],
             spacing,
             at_detector,
+            aspect: attributes.aspect(),
             rescale: attributes
                 .rescale()
                 .filter(|_| format.samples == 1 && !segmentation)

@@ -32,6 +32,7 @@ mod placement;
 mod rasterise;
 mod rle;
 mod scan;
+mod segments;
 mod series;
 mod siblings;
 mod structure_volume;
@@ -53,7 +54,7 @@ use object::Object;
 use scan::{ScanResult, scan};
 use serde_json::json;
 use series::{DicomSeries, MAX_NAMED_POSITIONS, chosen, described, places, series};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use structure_volume::structure_volume;
 use syntax::syntax_name;
@@ -281,6 +282,7 @@ fn warn_of_frames(
             some.join(", ")
         ));
     }
+    warnings.extend(missing_part(series, objects));
     let references: BTreeSet<&str> = series
         .times
         .iter()
@@ -294,4 +296,22 @@ fn warn_of_frames(
             references.len()
         ));
     }
+}
+
+/// The warning if a part of a concatenation is missing (PS3.3 C.7.6.16.2.2.4).
+fn missing_part(series: &DicomSeries, objects: &[Object]) -> Option<String> {
+    let mut parts: BTreeMap<&str, (BTreeSet<u32>, u32)> = BTreeMap::new();
+    for frame in series.times.iter().flatten() {
+        if let Some((uid, number, total)) = &objects[frame.object].concatenation {
+            let part = parts.entry(uid).or_insert((BTreeSet::new(), *total));
+            part.0.insert(*number);
+        }
+    }
+    let (there, total) = parts
+        .into_values()
+        .find(|(there, total)| (there.len() as u32) < *total)?;
+    Some(format!(
+        "is {} of {total} parts of one image; the others are missing, or lie in other files",
+        there.len()
+    ))
 }

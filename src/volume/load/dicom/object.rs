@@ -21,6 +21,9 @@ use dicom_object::InMemDicomObject;
 /// Segmentation storage, and the newer class whose pixels are labels.
 const SEGMENTATION: [&str; 2] = ["1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7"];
 
+/// Cosine of the angle between rows and columns up to which they are perpendicular.
+const SKEWED: f64 = 1e-3;
+
 /// The meaning of a segmentation's pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SegmentsAs {
@@ -41,8 +44,10 @@ pub struct Object {
     pub modality: String,
     pub patient: [String; 2],
     pub format: PixelFormat,
-    /// What is irregular about its pictures.
-    pub warning: Option<String>,
+    /// What is irregular about it, one sentence each.
+    pub warnings: Vec<String>,
+    /// If it is part of a concatenation: its UID, the part's number, and their total.
+    pub concatenation: Option<(String, u32, u32)>,
     /// Number of pictures in the object.
     pub pictures: usize,
     /// Where its pixels are.
@@ -248,18 +253,33 @@ fn segments_as(set: &InMemDicomObject, class: &str) -> SegmentsAs {
 /// The object that a header describes; none if it has neither pixels nor contours.
 fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<Option<Object>> {
     let set = &data.elements;
-    let (Some(format), Some(pixels)) = (pixel_format(set), data.pixels) else {
-        return Ok(is_structure_set(set).then(|| structure_set(source, syntax, set)));
-    };
     let fail = |problem: String| Error::file(source.path(), problem);
+    let Some(format) = pixel_format(set) else {
+        if is_structure_set(set) {
+            return Ok(Some(structure_set(source, syntax, set)));
+        }
+        return if is_cut_off(set) {
+            Err(fail(
+                "is a damaged DICOM file (it ends within its header); copy or export it again".into(),
+            ))
+        } else {
+            Ok(None)
+        };
+    };
+    let Some(pixels) = data.pixels else {
+        return Err(fail(
+            "holds no pixels: it is truncated, or only a header; copy or export it again".into(),
+        ));
+    };
     check_format(&format).map_err(fail)?;
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
     let pictures = picture_count(set, max_frames(&source, &syntax, &format)).map_err(fail)?;
-    let (mosaic, warning) = match Mosaic::of(set, &format) {
-        Ok(mosaic) => (mosaic, None),
-        Err(warning) => (None, Some(warning)),
-    };
+    let mut warnings = irregularities(set, &format, &pixels, pictures, &syntax);
+    let mosaic = Mosaic::of(set, &format).unwrap_or_else(|warning| {
+        warnings.push(warning);
+        None
+    });
     let distance = slice_distance(set);
     let frames = frames(set, &format, segmentation, pictures, distance, mosaic.as_ref()).map_err(fail)?;
     Ok(Some(Object {
@@ -271,7 +291,8 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         modality: text(set, tags::MODALITY),
         patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
         padding: padding(set, &format).filter(|_| !segmentation),
-        warning,
+        warnings,
+        concatenation: concatenation(set),
         pictures,
         pixels: PixelElement {
             big_endian: pixels.big_endian || syntax == GE_BIG_ENDIAN_PIXELS,
@@ -305,6 +326,71 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
     }))
 }
 
+/// Storage classes of images, without the common beginning, and that.
+const IMAGES: [&str; 14] = [
+    "1", "1.1", "2", "2.1", "3.1", "4", "4.1", "7", "12.1", "20", "66.4", "128", "130", "481.2",
+];
+const STORAGE: &str = "1.2.840.10008.5.1.4.1.1.";
+
+/// Whether a data set without a picture size ends too early: it is that of an image, or states
+/// nothing at all.
+fn is_cut_off(set: &InMemDicomObject) -> bool {
+    let class = text(set, tags::SOP_CLASS_UID);
+    match class.strip_prefix(STORAGE) {
+        Some(kind) => IMAGES.contains(&kind),
+        None => class.is_empty() && set.iter().count() < 4,
+    }
+}
+
+/// UID, number and total of the part that an object is of a concatenation.
+fn concatenation(set: &InMemDicomObject) -> Option<(String, u32, u32)> {
+    let uid = text(set, tags::CONCATENATION_UID);
+    let whole = |tag: Tag| number(set, tag).map(|n| n as u32);
+    let total = whole(tags::IN_CONCATENATION_TOTAL_NUMBER)?;
+    (!uid.is_empty()).then_some((uid, whole(tags::IN_CONCATENATION_NUMBER)?, total))
+}
+
+/// What an object states that is odd, and what is made of it.
+fn irregularities(
+    set: &InMemDicomObject,
+    format: &PixelFormat,
+    pixels: &PixelElement,
+    pictures: usize,
+    syntax: &str,
+) -> Vec<String> {
+    let mut found = Vec::new();
+    let groups = set
+        .get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE)
+        .and_then(|e| e.items())
+        .map_or(0, <[_]>::len);
+    let is_native = max_compression_ratio(syntax, 0) == 1;
+    let held = pixels
+        .length
+        .filter(|_| is_native && format.allocated > 1)
+        .map_or(0, |length| length as usize / format.frame_bytes().max(1));
+    if held.max(groups) > pictures {
+        found.push(format!(
+            "declares {pictures} frames but holds {}; the others are left out",
+            held.max(groups)
+        ));
+    }
+    let slope = text(set, tags::RESCALE_SLOPE);
+    if !slope.is_empty() && number(set, tags::RESCALE_SLOPE).is_none_or(|s| s == 0.0) {
+        found.push(format!(
+            "its rescale slope \"{slope}\" cannot be used; 1 is used instead"
+        ));
+    }
+    if text(set, tags::MODALITY) == "RTDOSE" && number(set, tags::DOSE_GRID_SCALING).is_none() {
+        found.push("does not state the scaling of its dose; its values are as stored".into());
+    }
+    if let Some([a, b, c, d, e, f]) = vector::<6>(set, tags::IMAGE_ORIENTATION_PATIENT)
+        && (a * d + b * e + c * f).abs() > SKEWED
+    {
+        found.push("states rows and columns that are not perpendicular; its slices are sheared".into());
+    }
+    found
+}
+
 /// A structure set, which has no frames.
 fn structure_set(source: ObjectLocation, syntax: String, set: &InMemDicomObject) -> Object {
     Object {
@@ -315,7 +401,8 @@ fn structure_set(source: ObjectLocation, syntax: String, set: &InMemDicomObject)
         description: label_of(set),
         modality: "RTSTRUCT".into(),
         patient: [text(set, tags::PATIENT_NAME), text(set, tags::PATIENT_ID)],
-        warning: None,
+        warnings: Vec::new(),
+        concatenation: None,
         pictures: 0,
         pixels: PixelElement {
             offset: 0,

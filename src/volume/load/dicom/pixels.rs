@@ -12,7 +12,9 @@ use super::frame::PixelFormat;
 use super::location::Bytes;
 use super::object::Object;
 use super::rle;
-use super::syntax::{GE_BIG_ENDIAN_PIXELS, JPEG, JPEG_2000, RLE, max_compression_ratio, syntax_name};
+use super::syntax::{
+    GE_BIG_ENDIAN_PIXELS, JPEG, JPEG_2000, JPEG_LS, RLE, max_compression_ratio, syntax_name,
+};
 use crate::panic_guard::catch_panic;
 use crate::{Error, Result};
 use dicom_encoding::adapters::{PixelDataObject, RawPixelData};
@@ -404,9 +406,12 @@ fn unpacked(object: &Object, compressed: &[u8]) -> Result<Vec<u8>> {
     }
     let uid = object.syntax.as_str();
     let decoded = catch_panic(|| {
-        if JPEG.contains(&uid) {
+        // What the picture is, whatever the transfer syntax says.
+        let is_jpeg = compressed.starts_with(&[0xff, 0xd8, 0xff]) && !JPEG_LS.contains(&uid);
+        let is_jpeg_2000 = compressed.starts_with(&[0xff, 0x4f, 0xff, 0x51]);
+        if is_jpeg || JPEG.contains(&uid) && !is_jpeg_2000 {
             jpeg(format, compressed)
-        } else if JPEG_2000.contains(&uid) {
+        } else if is_jpeg_2000 || JPEG_2000.contains(&uid) {
             jpeg_2000(format, compressed)
         } else {
             by_registry(object, compressed)
@@ -647,7 +652,10 @@ fn by_registry(object: &Object, compressed: &[u8]) -> Result<Vec<u8>, String> {
     let Some(Codec::EncapsulatedPixelData(Some(decoder), _)) =
         TransferSyntaxRegistry.get(&object.syntax).map(|s| s.codec())
     else {
-        return Err("its transfer syntax is not known".into());
+        return Err(format!(
+            "they are compressed in a form that the transfer syntax {} does not have",
+            syntax_name(&object.syntax)
+        ));
     };
     let mut bytes = Vec::new();
     decoder

@@ -143,7 +143,14 @@ fn named_gaps(frames: &[&Frame], gaps: &[usize]) -> String {
 fn warn_of_unstated(frames: &[&Frame], object: &Object, warnings: &mut Vec<String>) {
     let frame = frames[0];
     if frame.spacing[0] == 0.0 {
-        warnings.push("does not state its pixel spacing; 1 mm is assumed (use --spacing to set it)".into());
+        warnings.push(if frame.aspect == 1.0 {
+            "does not state its pixel spacing; 1 mm is assumed (use --spacing to set it)".into()
+        } else {
+            format!(
+                "does not state its pixel spacing; 1 mm is assumed, with its aspect ratio of {} to 1 (use --spacing to set it)",
+                frame.aspect
+            )
+        });
     }
     if frame.at_detector {
         warnings.push(
@@ -246,7 +253,10 @@ pub fn placement(
 ) -> SlicePlacement {
     let first = frames[0];
     warn_of_unstated(frames, object, warnings);
-    let [columns, rows] = first.spacing.map(|s| if s > 0.0 { s } else { 1.0 });
+    let [columns, rows] = match first.spacing {
+        [0.0, _] => [1.0, first.aspect],
+        stated => stated,
+    };
     let start = first.position.unwrap_or(DVec3::ZERO);
     let unit = normal(first);
     let along: Vec<f64> = match located(frames) {

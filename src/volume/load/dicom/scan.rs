@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::io::Read;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// The result of a scan.
 pub struct ScanResult {
@@ -34,12 +35,17 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
         )
     };
     let single = !path.is_dir() && sources.len() == 1;
+    let empty = Mutex::new(Vec::new());
     let meter = ByteProgress::new(watch, sources.len() as u64);
     let read: Vec<Result<Option<Object>>> = sources
         .into_par_iter()
         .map(|source| {
             meter.add(1)?;
             if !single && !looks_like_dicom(&source) {
+                if is_named_dicom(&source) {
+                    let mut empty = empty.lock().unwrap_or_else(PoisonError::into_inner);
+                    empty.push(source.path().to_owned());
+                }
                 return Ok(None);
             }
             object(source)
@@ -78,12 +84,30 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
             }
         }
     }
+    let mut empty = empty.into_inner().unwrap_or_else(PoisonError::into_inner);
+    empty.sort();
+    if let Some(first) = empty.first().filter(|_| !found.objects.is_empty()) {
+        found.notes.push(format!(
+            "{} files are empty or hold no DICOM in spite of their names, and are left out ({} and others)",
+            empty.len(),
+            first.file_name().unwrap_or_default().to_string_lossy()
+        ));
+    }
     if same_name > 0 {
         found.notes.push(format!(
             "{same_name} files have the SOP instance UID of another one but other positions, times or pixels; all of them are read"
         ));
     }
     Ok(found)
+}
+
+/// Whether a file that holds no DICOM should: it is empty, or has the extension.
+fn is_named_dicom(source: &ObjectLocation) -> bool {
+    let extension = source.path().extension().unwrap_or_default();
+    source.bytes() == 0
+        || ["dcm", "dicom", "ima"]
+            .iter()
+            .any(|e| extension.eq_ignore_ascii_case(e))
 }
 
 /// Whether two objects of one name are copies, under whatever file names: the same places and

@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 /// Maximum number of files beside the named one that are examined.
 const MAX_EXAMINED: usize = 32;
 
-/// The warning if other files of the series of a single slice lie in its folder.
+/// The warning if other files of the series of a single file lie in its folder.
 pub fn warning(path: &Path, objects: &[Object], series: &DicomSeries) -> Option<String> {
     let [only] = objects else { return None };
     let slices: usize = series.times.iter().map(Vec::len).sum();
-    if path.is_dir() || slices != 1 || only.series.is_empty() {
+    if path.is_dir() || slices == 0 || only.series.is_empty() {
         return None;
     }
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());

@@ -84,6 +84,13 @@ pub fn structure_volume(
         Some(grid) => grid,
         None => own_grid(&set, warnings),
     };
+    let beyond = beyond(&set.structures, &grid);
+    if !beyond.is_empty() {
+        warnings.push(format!(
+            "contours of {} lie partly outside of the image; what is outside is left out",
+            named(&beyond)
+        ));
+    }
     if let Some(at) = &grid.at {
         straighten(&mut set.structures, &grid.world_from_voxel, at);
     }
@@ -209,6 +216,22 @@ fn image_grid(
         }),
         uid: object.series.clone(),
     }))
+}
+
+/// Names of structures with contours that lie partly outside of a grid's voxels.
+fn beyond(structures: &[Structure], grid: &ImageGrid) -> Vec<String> {
+    let voxel_from_world = grid.world_from_voxel.inverse();
+    let size = DVec3::from(grid.size.map(|n| n as f64));
+    let is_outside = |p: &DVec3| {
+        let voxel = voxel_from_world.transform_point3(*p);
+        voxel.cmplt(DVec3::splat(-0.75)).any() || voxel.cmpgt(size - 0.25).any()
+    };
+    let lies_beyond = |s: &&Structure| s.contours.iter().flatten().any(is_outside);
+    structures
+        .iter()
+        .filter(lies_beyond)
+        .map(|s| s.name.clone())
+        .collect()
 }
 
 /// Moves contours along with the slices of an image that are not even: from their positions to

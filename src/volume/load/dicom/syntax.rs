@@ -30,6 +30,8 @@ pub const JPEG_2000: [&str; 4] = [
     "1.2.840.10008.1.2.4.92",
     "1.2.840.10008.1.2.4.93",
 ];
+/// JPEG-LS, lossless and near-lossless.
+pub const JPEG_LS: [&str; 2] = ["1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.81"];
 /// Size of a frame up to which a single-coloured image is accepted at any compression ratio, bytes.
 const SMALL_FRAME: usize = 64 << 20;
 

@@ -6,6 +6,7 @@ use super::frame::{Frame, PixelFormat};
 use super::object::{Object, SegmentsAs};
 use super::palette::Palette;
 use super::pixels::{self, Pixel, Pixels, decode};
+use super::segments::SegmentLabels;
 use super::syntax::{BIG_ENDIAN, DEFLATED, EXPLICIT, GE_BIG_ENDIAN_PIXELS, IMPLICIT};
 use crate::{ByteProgress, Error, Result, Watch};
 use rayon::prelude::*;
@@ -27,8 +28,9 @@ pub struct DecodeJob<'a> {
     pub path: &'a Path,
     pub objects: &'a [Object],
     pub frames: &'a [Frame],
-    /// Slice of each frame of a segmentation.
+    /// Slice of each frame of a segmentation, and its labels.
     pub slot: &'a [usize],
+    pub segments: &'a SegmentLabels,
     /// Number of values in the whole volume.
     pub total: usize,
     pub watch: &'a Watch<'a>,
@@ -312,23 +314,29 @@ impl DecodeJob<'_> {
             for n in frames {
                 let frame = &self.frames[n];
                 decode(object, &pixels, frame.number, &mut values, &|v| v)?;
+                let segment = self.segments.number(index, frame.segment);
                 let out = &mut labels[self.slot[n] * plane..][..plane];
                 for (label, &value) in out.iter_mut().zip(&values) {
                     // Pixels are labels themselves, or fractions of the frame's segment, with a
                     // threshold of one half.
                     match object.segments_as {
-                        SegmentsAs::Labels => *label = value,
+                        SegmentsAs::Labels => *label = self.segments.number(index, value),
                         SegmentsAs::Shares(whole)
                             if value > 0 && 2 * u32::from(value) >= u32::from(whole) =>
                         {
-                            overlaps += usize::from(*label != 0 && *label != frame.segment);
-                            *label = frame.segment;
+                            overlaps += usize::from(*label != 0 && *label != segment);
+                            *label = segment;
                         }
                         SegmentsAs::Shares(_) => {}
                     }
                 }
                 meter.add(plane as u64)?;
             }
+        }
+        if matches!(self.object().segments_as, SegmentsAs::Shares(whole) if whole > 1) {
+            warnings.push(
+                "holds fractions of its segments; voxels of at least one half are shown as labels".into(),
+            );
         }
         if overlaps > 0 {
             warnings.push(format!(

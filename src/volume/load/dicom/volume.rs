@@ -7,6 +7,7 @@ use super::frame::Frame;
 use super::object::Object;
 use super::pixels::{check_held, check_syntax};
 use super::placement::{SlicePlacement, length, placement};
+use super::segments::SegmentLabels;
 use super::series::{normal, same_place};
 use super::values::DecodeJob;
 use crate::volume::{Rescale, SliceDisplacement};
@@ -89,11 +90,14 @@ pub fn volume(
         .product::<usize>()
         .checked_mul(usize::from(format.samples))
         .ok_or_else(|| Error::file(path, "is larger than can be addressed"))?;
+    let segments = SegmentLabels::of(objects, frames);
+    warnings.extend(segments.warning());
     let job = DecodeJob {
         path,
         objects,
         frames,
         slot: &slot,
+        segments: &segments,
         total,
         watch,
         unread: Mutex::default(),
@@ -105,7 +109,8 @@ pub fn volume(
         &slices,
         warnings,
     );
-    warnings.extend(object.warning.clone());
+    let all: BTreeSet<&String> = frames.iter().flat_map(|f| &objects[f.object].warnings).collect();
+    warnings.extend(all.into_iter().cloned());
     let mut image = Image::new("DICOM", voxels, size, placement.world_from_voxel);
     image.components = components;
     image.rescale = if has_one_scale && components == 1 {
@@ -126,7 +131,7 @@ pub fn volume(
     }
     image.padding = object.padding.filter(|_| components == 1 && has_one_scale);
     if object.segmentation {
-        image.meaning = Meaning::Labels(object.segments.clone());
+        image.meaning = Meaning::Labels(segments.labels);
     } else if components > 1 {
         image.meaning = Meaning::Color;
     }
