@@ -259,36 +259,57 @@ impl<'a> Divider<'a> {
         accepted
     }
 
-    /// Divides groups by the first attribute, whatever it is, that leaves one frame of each stack in
-    /// each group, and whole volumes.
-    pub fn divide_by_any(&mut self) -> Option<Tag> {
+    /// Divides groups by the first attribute, whatever it is, or the first few, that leave one frame
+    /// of each stack in each group, and whole volumes.
+    pub fn divide_by_any(&mut self) -> Vec<Tag> {
         let mut tags: Vec<Tag> = self.frames[0].others.iter().map(|(t, _)| *t).collect();
         tags.extend(self.frames[0].own_others.iter().map(|(t, _)| *t));
         // Those of the standard first.
         tags.sort_by_key(|t| (t.0 % 2, *t));
         tags.dedup();
+        let before = self.group.clone();
+        for tag in &tags {
+            if self.divide_by_digests(*tag) && self.has_whole_volumes() {
+                return vec![*tag];
+            }
+            self.group.clone_from(&before);
+        }
+        let mut used = Vec::new();
+        for tag in tags {
+            if self.divide_by_digests(tag) {
+                used.push(tag);
+            }
+            if self.has_whole_volumes() {
+                return used;
+            }
+        }
+        self.group = before;
+        Vec::new()
+    }
+
+    /// Whether each group has one frame of most stacks.
+    fn has_whole_volumes(&self) -> bool {
         let stacks = self.stack.last().map_or(0, |s| s + 1);
-        tags.into_iter().find(|tag| {
-            let mut numbers: HashMap<Option<u64>, usize> = HashMap::new();
-            let mut ranks: Vec<usize> = Vec::with_capacity(self.frames.len());
-            for frame in self.frames {
-                let next = numbers.len();
-                let number = *numbers.entry(frame.other(*tag)).or_insert(next);
-                if number >= self.most {
-                    return false;
-                }
-                ranks.push(number);
+        self.is_done() && self.groups().iter().all(|g| 2 * g.len() >= stacks)
+    }
+
+    fn divide_by_digests(&mut self, tag: Tag) -> bool {
+        let mut orders: HashMap<Option<u64>, f64> = HashMap::new();
+        let mut hashes = Vec::with_capacity(self.frames.len());
+        for frame in self.frames {
+            let digest = frame.other(tag);
+            let hash = digest.map(|d| d.hash);
+            orders.entry(hash).or_insert(digest.map_or(0.0, |d| d.order));
+            if orders.len() > self.most {
+                return false;
             }
-            self.rank_by_first(&mut ranks, numbers.len());
-            let before = self.group.clone();
-            let divided = self.divide_by_ranks(&ranks, numbers.len())
-                && self.is_done()
-                && self.groups().iter().all(|g| 2 * g.len() >= stacks);
-            if !divided {
-                self.group = before;
-            }
-            divided
-        })
+            hashes.push(hash);
+        }
+        let mut sorted: Vec<(Option<u64>, f64)> = orders.into_iter().collect();
+        sorted.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        let rank = |hash: &Option<u64>| sorted.iter().position(|(h, _)| h == hash).unwrap_or(0);
+        let ranks: Vec<usize> = hashes.iter().map(rank).collect();
+        self.divide_by_ranks(&ranks, sorted.len())
     }
 
     /// The frames of each group and stack.

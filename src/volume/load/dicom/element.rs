@@ -41,8 +41,13 @@ pub fn whole_number(set: &InMemDicomObject, tag: Tag) -> Option<u16> {
         .map(|n| n as u16)
 }
 
+/// The numbers of a private attribute, by its creator.
+pub fn private_numbers(set: &InMemDicomObject, group: u16, creator: &str, element: u16) -> Option<Vec<f64>> {
+    let block = (0x10..0x100u16).find(|block| text(set, Tag(group, *block)).starts_with(creator))?;
+    numbers(set, Tag(group, block << 8 | element))
+}
+
 /// The first number of a private attribute, by its creator.
 pub fn private_number(set: &InMemDicomObject, group: u16, creator: &str, element: u16) -> Option<f64> {
-    let block = (0x10..0x100u16).find(|block| text(set, Tag(group, *block)).starts_with(creator))?;
-    numbers(set, Tag(group, block << 8 | element))?.first().copied()
+    private_numbers(set, group, creator, element)?.first().copied()
 }

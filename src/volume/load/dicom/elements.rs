@@ -124,7 +124,9 @@ fn vr_of(tag: Tag) -> VR {
     match (tag.0, tag.1 & 0xff) {
         (0x0019, 0x0a) if tag.1 >= 0x1000 => VR::US,
         (0x0019, 0x0c) | (0x0043, 0x39) if tag.1 >= 0x1000 => VR::IS,
-        (0x2001, 0x03) if tag.1 >= 0x1000 => VR::FL,
+        (0x0019, 0x0e) if tag.1 >= 0x1000 => VR::FD,
+        (0x0019, 0xbb..=0xbd) if tag.1 >= 0x1000 => VR::DS,
+        (0x2001, 0x03) | (0x2005, 0xb0..=0xb2) if tag.1 >= 0x1000 => VR::FL,
         (group, _) if group % 2 == 1 && (0x10..0x100).contains(&tag.1) => VR::LO,
         (group, _) if group % 2 == 1 => VR::UN,
         (_, 0) if tag.1 == 0 => VR::UL,

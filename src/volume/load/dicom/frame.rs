@@ -1,6 +1,7 @@
 //! A frame: a plane of pixels with its geometry, and the storage of its pixels.
 
 use crate::volume::Rescale;
+use crate::volume::load::slices::natural;
 use dicom_core::Tag;
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -70,15 +71,22 @@ pub struct Frame {
     /// What tells it from other frames at the same position.
     pub keys: Vec<(u8, KeyValue)>,
     /// Digests of all other attributes of its object, and of its own.
-    pub others: Arc<[(Tag, u64)]>,
-    pub own_others: Vec<(Tag, u64)>,
+    pub others: Arc<[(Tag, Digest)]>,
+    pub own_others: Vec<(Tag, Digest)>,
     /// Instance number.
     pub instance: Option<f64>,
 }
 
+/// What is compared of a value: a hash, and a number for its order.
+#[derive(Clone, Copy, Debug)]
+pub struct Digest {
+    pub hash: u64,
+    pub order: f64,
+}
+
 impl Frame {
     /// The digest of an attribute of the frame.
-    pub fn other(&self, tag: Tag) -> Option<u64> {
+    pub fn other(&self, tag: Tag) -> Option<Digest> {
         let all = self.own_others.iter().chain(&*self.others);
         all.into_iter()
             .find(|(t, _)| *t == tag)
@@ -96,11 +104,11 @@ pub enum KeyValue {
 }
 
 impl KeyValue {
-    /// A total order: numbers by size, texts by letters.
+    /// A total order: numbers by size, texts by letters and the numbers in them.
     pub fn order(&self, other: &Self) -> Ordering {
         match (self, other) {
             (Self::Number(a), Self::Number(b)) => a.total_cmp(b),
-            (Self::Text(a), Self::Text(b)) => a.cmp(b),
+            (Self::Text(a), Self::Text(b)) => natural(a, b),
             (Self::Numbers(a), Self::Numbers(b)) => a
                 .iter()
                 .zip(b)

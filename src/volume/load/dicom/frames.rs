@@ -2,7 +2,7 @@
 
 use super::attributes::FrameAttributes;
 use super::element::{item, number};
-use super::frame::{Frame, PixelFormat};
+use super::frame::{Digest, Frame, PixelFormat};
 use super::increments::{Increments, SliceDistance};
 use super::mosaic::Mosaic;
 use super::time_keys::{keys_of, other_attributes, own_attributes};
@@ -47,7 +47,7 @@ pub fn frames(
         .get(tags::DETECTOR_INFORMATION_SEQUENCE)
         .and_then(|e| e.items())
         .unwrap_or(&[]);
-    let others: Arc<[(Tag, u64)]> = other_attributes(set).into();
+    let others: Arc<[(Tag, Digest)]> = other_attributes(set).into();
     let mut frames = Vec::with_capacity(count.min(4096));
     for n in 0..count {
         let own = per_frame.get(n);

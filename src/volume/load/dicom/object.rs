@@ -5,7 +5,7 @@ use super::element::{item, number, numbers, text, vector, whole_number};
 use super::elements::{DataSet, PixelElement};
 use super::frame::{Frame, PixelFormat};
 use super::frames::{frames, picture_count};
-use super::increments::SliceDistance;
+use super::increments::{Increments, SliceDistance};
 use super::location::ObjectLocation;
 use super::mosaic::Mosaic;
 use super::palette::{Palette, palette};
@@ -56,6 +56,10 @@ pub struct Object {
     pub tile: Option<[usize; 2]>,
     pub padding: Option<[f64; 2]>,
     pub slice_distance: SliceDistance,
+    /// Whether it is an overview for planning.
+    pub localizer: bool,
+    /// Whether its frames are a film, which belongs to no other object.
+    pub film: bool,
     /// Frame of reference; may be empty.
     pub reference: String,
     /// Units of its values; may be empty.
@@ -300,6 +304,16 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         },
         tile: mosaic.map(|m| m.tile),
         slice_distance: distance,
+        localizer: set
+            .get(tags::IMAGE_TYPE)
+            .and_then(|e| {
+                e.value()
+                    .to_multi_str()
+                    .ok()
+                    .map(|w| w.iter().any(|w| w == "LOCALIZER"))
+            })
+            .unwrap_or(false),
+        film: Increments::of(set, pictures, distance).time(1).is_some(),
         reference: text(set, tags::FRAME_OF_REFERENCE_UID),
         units: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
             .into_iter()
@@ -412,6 +426,8 @@ fn structure_set(source: ObjectLocation, syntax: String, set: &InMemDicomObject)
         tile: None,
         padding: None,
         slice_distance: SliceDistance::Unstated,
+        localizer: false,
+        film: false,
         reference: String::new(),
         units: String::new(),
         window: None,

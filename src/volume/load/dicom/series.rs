@@ -146,9 +146,10 @@ fn common(object: &Object, names: &SeriesNames) -> String {
         "" => usual.2,
         stated => stated,
     };
+    let film = if object.film { &object.instance } else { "" };
     format!(
-        "{series} {patient} {number} {modality} {segmentation} {rows} {columns} {} {}",
-        f.samples, f.photometric
+        "{series} {patient} {number} {modality} {segmentation} {rows} {columns} {} {} {} {film}",
+        f.samples, f.photometric, object.localizer
     )
 }
 

@@ -5,8 +5,8 @@
 //! medicine), C.8.13 (enhanced MR).
 
 use super::attributes::FrameAttributes;
-use super::element::{item, numbers, private_number, text, vector};
-use super::frame::KeyValue;
+use super::element::{item, numbers, private_number, private_numbers, text, vector};
+use super::frame::{Digest, KeyValue};
 use dicom_core::Tag;
 use dicom_core::value::Value;
 use dicom_dictionary_std::tags;
@@ -158,7 +158,7 @@ pub static KEYS: [TimeKey; 37] = [
     key("kernel", |a| some_text(text(a.object, tags::CONVOLUTION_KERNEL))),
     key("units", |a| some_text(text(a.object, tags::UNITS))),
     key("comment", |a| some_text(text(a.object, tags::IMAGE_COMMENTS))),
-    unordered("series description", |a| {
+    key("series description", |a| {
         some_text(text(a.object, tags::SERIES_DESCRIPTION))
     }),
     unordered("study", |a| some_text(text(a.object, tags::STUDY_INSTANCE_UID))),
@@ -268,14 +268,24 @@ fn b_value(a: &FrameAttributes) -> Option<KeyValue> {
     ])
 }
 
+/// Direction of the diffusion gradient: the standard's attribute, or those of Siemens, GE and
+/// Philips.
 fn diffusion_direction(a: &FrameAttributes) -> Option<KeyValue> {
     let grouped = a
         .group(tags::MR_DIFFUSION_SEQUENCE)
         .and_then(|d| item(d, tags::DIFFUSION_GRADIENT_DIRECTION_SEQUENCE))
-        .and_then(|d| vector::<3>(d, tags::DIFFUSION_GRADIENT_ORIENTATION));
+        .and_then(|d| vector::<3>(d, tags::DIFFUSION_GRADIENT_ORIENTATION))
+        .map(|v| v.to_vec());
+    let three = |group: u16, creator: &str, elements: [u16; 3]| {
+        let all = elements.map(|e| private_number(a.object, group, creator, e));
+        all.into_iter().collect::<Option<Vec<f64>>>()
+    };
     grouped
-        .or_else(|| vector::<3>(a.object, tags::DIFFUSION_GRADIENT_ORIENTATION))
-        .map(|v| KeyValue::Numbers(v.to_vec()))
+        .or_else(|| vector::<3>(a.object, tags::DIFFUSION_GRADIENT_ORIENTATION).map(|v| v.to_vec()))
+        .or_else(|| private_numbers(a.object, 0x0019, "SIEMENS MR HEADER", 0x0e))
+        .or_else(|| three(0x0019, "GEMS_ACQU_01", [0xbb, 0xbc, 0xbd]))
+        .or_else(|| three(0x2005, "Philips MR Imaging DD 001", [0xb0, 0xb1, 0xb2]))
+        .map(KeyValue::Numbers)
 }
 
 /// The type of a frame, or of the whole image, and its part of a complex value.
@@ -387,23 +397,40 @@ const OF_ONE_FRAME: [Tag; 22] = [
 const MAX_COMPARED_BYTES: usize = 256;
 
 /// Digests of the single values of a data set, by tag.
-pub fn other_attributes(set: &InMemDicomObject) -> Vec<(Tag, u64)> {
+pub fn other_attributes(set: &InMemDicomObject) -> Vec<(Tag, Digest)> {
     set.iter()
         .filter(|e| !OF_ONE_FRAME.contains(&e.header().tag))
         .filter_map(|e| {
-            let bytes = match e.value() {
-                Value::Primitive(value) => value.to_bytes(),
-                _ => return None,
+            let Value::Primitive(value) = e.value() else {
+                return None;
             };
+            let bytes = value.to_bytes();
             let mut hasher = DefaultHasher::new();
             bytes.hash(&mut hasher);
-            (bytes.len() <= MAX_COMPARED_BYTES).then(|| (e.header().tag, hasher.finish()))
+            let order = value
+                .to_float64()
+                .unwrap_or_else(|_| first_number(&value.to_str()));
+            let digest = Digest {
+                hash: hasher.finish(),
+                order,
+            };
+            (bytes.len() <= MAX_COMPARED_BYTES).then(|| (e.header().tag, digest))
         })
         .collect()
 }
 
+/// The first number in a text; 0 if there is none.
+fn first_number(text: &str) -> f64 {
+    let start = text.find(|c: char| c.is_ascii_digit()).unwrap_or(text.len());
+    let rest = &text[start..];
+    let end = rest
+        .find(|c: char| !(c.is_ascii_digit() || c == '.'))
+        .unwrap_or(rest.len());
+    rest[..end].parse().unwrap_or(0.0)
+}
+
 /// As [`other_attributes`], of the functional groups of one frame.
-pub fn own_attributes(groups: &InMemDicomObject) -> Vec<(Tag, u64)> {
+pub fn own_attributes(groups: &InMemDicomObject) -> Vec<(Tag, Digest)> {
     groups
         .iter()
         .filter_map(|e| e.items()?.first())

@@ -104,10 +104,10 @@ pub fn divide(frames: &[Frame], stack: &[usize], at: &[f64]) -> Division {
             keys.push(key);
         }
     }
-    let mut other = None;
+    let mut others = Vec::new();
     let mut certainty = Certainty::Certain;
     if !divider.is_done() {
-        other = divider.divide_by_any();
+        others = divider.divide_by_any();
     }
     if !divider.is_done() {
         let by_order = (0..KEYS.len())
@@ -126,7 +126,7 @@ pub fn divide(frames: &[Frame], stack: &[usize], at: &[f64]) -> Division {
             }
         }
     }
-    volumes(&divider, &keys, other, certainty)
+    volumes(&divider, &keys, &others, certainty)
 }
 
 /// The name of an attribute.
@@ -138,7 +138,7 @@ fn attribute_name(tag: Tag) -> String {
 }
 
 /// The volumes of a finished division.
-fn volumes(divider: &Divider, keys: &[usize], other: Option<Tag>, certainty: Certainty) -> Division {
+fn volumes(divider: &Divider, keys: &[usize], others: &[Tag], certainty: Certainty) -> Division {
     let groups = divider.groups();
     let largest = groups.iter().map(Vec::len).max().unwrap_or(0);
     let is_parted = keys.iter().any(|k| KEYS[*k].parts_volumes);
@@ -161,7 +161,7 @@ fn volumes(divider: &Divider, keys: &[usize], other: Option<Tag>, certainty: Cer
     let mut by = TimePoints::default();
     if volumes.len() > 1 {
         by.names = keys.iter().map(|k| KEYS[*k].name.to_owned()).collect();
-        by.names.extend(other.map(attribute_name));
+        by.names.extend(others.iter().copied().map(attribute_name));
         by.values = volumes
             .iter()
             .map(|v| {
