@@ -15,8 +15,9 @@ pub struct FrameAttributes<'a> {
     pub shared: Option<&'a InMemDicomObject>,
     pub detector: Option<&'a InMemDicomObject>,
     pub object: &'a InMemDicomObject,
-    /// Index of the frame.
+    /// Index of the frame, and the number of frames of its object.
     pub number: usize,
+    pub count: usize,
     /// Time of the frame since the first one, ms, if consecutive frames differ in time.
     pub frame_time: Option<f64>,
 }

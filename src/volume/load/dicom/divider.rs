@@ -73,22 +73,22 @@ impl<'a> Divider<'a> {
         groups.into_values().collect()
     }
 
-    /// The rank of each frame's value of a key among all distinct ones, and their number. Numbers
-    /// that scatter around a few count as these.
+    /// As [`Self::ranks`], but numbers that scatter around a few count as these.
+    fn clear_ranks(&self, key: usize) -> (Vec<usize>, usize) {
+        let (ranks, distinct) = self.ranks(key);
+        let clusters = (distinct > self.most).then(|| self.clusters(key)).flatten();
+        clusters.unwrap_or((ranks, distinct))
+    }
+
+    /// The rank of each frame's value of a key among all distinct ones, and their number.
     fn ranks(&self, key: usize) -> (Vec<usize>, usize) {
         let of = |n: usize| self.value(n, key);
-        let mut by_value: Vec<usize> = (0..self.frames.len()).collect();
-        by_value.sort_by(|a, b| order(of(*a), of(*b)));
+        let by_value = self.by_value(key);
         let mut ranks = vec![0; self.frames.len()];
         let mut rank = 0;
         for pair in by_value.windows(2) {
             rank += usize::from(order(of(pair[0]), of(pair[1])).is_ne());
             ranks[pair[1]] = rank;
-        }
-        if rank + 1 > self.most
-            && let Some(clusters) = self.clusters(key, &by_value)
-        {
-            return clusters;
         }
         if KEYS[key].is_unordered {
             self.rank_by_first(&mut ranks, rank + 1);
@@ -96,8 +96,17 @@ impl<'a> Divider<'a> {
         (ranks, rank + 1)
     }
 
+    /// The frames in the order of a key's values.
+    fn by_value(&self, key: usize) -> Vec<usize> {
+        let of = |n: usize| self.value(n, key);
+        let mut by_value: Vec<usize> = (0..self.frames.len()).collect();
+        by_value.sort_by(|a, b| order(of(*a), of(*b)));
+        by_value
+    }
+
     /// Clusters of numbers that are clearly apart, at most as many as frames in a stack.
-    fn clusters(&self, key: usize, by_value: &[usize]) -> Option<(Vec<usize>, usize)> {
+    fn clusters(&self, key: usize) -> Option<(Vec<usize>, usize)> {
+        let by_value = self.by_value(key);
         let number = |n: &usize| match self.value(*n, key) {
             Some(KeyValue::Number(v)) => Some(*v),
             _ => None,
@@ -161,7 +170,7 @@ impl<'a> Divider<'a> {
     /// Divides groups by a key whose values part evenly spaced slices that overlap: volumes whose
     /// planes need not coincide.
     pub fn divide_overlapping(&mut self, key: usize) -> bool {
-        let (ranks, distinct) = self.ranks(key);
+        let (ranks, distinct) = self.clear_ranks(key);
         if distinct < 2 || 2 * distinct > self.frames.len() {
             return false;
         }
@@ -212,7 +221,7 @@ impl<'a> Divider<'a> {
             .filter(|n| self.value(*n, key).is_none())
             .collect();
         let stacks = self.stack.last().map_or(0, |s| s + 1);
-        let (mut ranks, mut distinct) = self.ranks(key);
+        let (mut ranks, mut distinct) = self.clear_ranks(key);
         // A few frames that lack the attribute take the place that is free.
         let few = !missing.is_empty() && 2 * missing.len() < stacks;
         if few && self.fill_places(&mut ranks, &missing) {

@@ -57,6 +57,7 @@ pub fn frames(
             detector: increments.detector(n).and_then(|d| detectors.get(d)),
             object: set,
             number: n,
+            count,
             frame_time: increments.time(n),
         };
         let orientation = attributes.orientation();

@@ -181,7 +181,12 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             .as_ref()
             .map(ToString::to_string)
             .unwrap_or_default();
-        warnings.push(format!("{} damaged files are left out ({first})", found.damaged));
+        let files = if found.damaged == 1 {
+            "file is"
+        } else {
+            "files are"
+        };
+        warnings.push(format!("{} damaged {files} left out ({first})", found.damaged));
     }
     let time = choice.time_of(series.times.len())?;
     warn_of_frames(series, &found.objects, choice, &mut warnings);
@@ -235,10 +240,10 @@ fn warn_of_frames(
     warnings: &mut Vec<String>,
 ) {
     if series.duplicates > 0 {
-        warnings.push(format!(
-            "{} slices at the same position as another were skipped",
-            series.duplicates
-        ));
+        warnings.push(match series.duplicates {
+            1 => "1 slice at the same position as another was skipped".into(),
+            n => format!("{n} slices at the same position as another were skipped"),
+        });
     }
     let count = series.times.len();
     if count > 1 && choice.time.is_none() {
@@ -260,10 +265,10 @@ fn warn_of_frames(
         ),
     }
     if series.unplaced > 0 {
-        warnings.push(format!(
-            "{} slices do not state their position and are left out",
-            series.unplaced
-        ));
+        warnings.push(match series.unplaced {
+            1 => "1 slice does not state its position and is left out".into(),
+            n => format!("{n} slices do not state their positions and are left out"),
+        });
     }
     let counts: Vec<usize> = series.times.iter().map(Vec::len).collect();
     if counts.iter().any(|c| *c != counts[0]) {

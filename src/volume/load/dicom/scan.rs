@@ -87,11 +87,11 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
     let mut empty = empty.into_inner().unwrap_or_else(PoisonError::into_inner);
     empty.sort();
     if let Some(first) = empty.first().filter(|_| !found.objects.is_empty()) {
-        found.notes.push(format!(
-            "{} files are empty or hold no DICOM in spite of their names, and are left out ({} and others)",
-            empty.len(),
-            first.file_name().unwrap_or_default().to_string_lossy()
-        ));
+        let name = first.file_name().unwrap_or_default().to_string_lossy();
+        found.notes.push(match empty.len() {
+            1 => format!("{name} is empty or holds no DICOM in spite of its name, and is left out"),
+            n => format!("{n} files ({name} and others) are empty or hold no DICOM in spite of their names, and are left out"),
+        });
     }
     if same_name > 0 {
         found.notes.push(format!(

@@ -37,7 +37,7 @@ pub const ACQUISITION_TIME: &str = "acquisition time (s)";
 pub const INSTANCE_NUMBER: &str = "instance number";
 
 /// The keys, the most telling first.
-pub static KEYS: [TimeKey; 37] = [
+pub static KEYS: [TimeKey; 38] = [
     key("dimension index", dimension_index),
     key("temporal position", |a| {
         first(&[
@@ -160,6 +160,16 @@ pub static KEYS: [TimeKey; 37] = [
     key("comment", |a| some_text(text(a.object, tags::IMAGE_COMMENTS))),
     key("series description", |a| {
         some_text(text(a.object, tags::SERIES_DESCRIPTION))
+    }),
+    unordered("image", |a| {
+        // An image of several frames is a volume, unless it is part of one.
+        let uid = text(a.object, tags::CONCATENATION_UID);
+        let uid = if uid.is_empty() {
+            text(a.object, tags::SOP_INSTANCE_UID)
+        } else {
+            uid
+        };
+        some_text(uid).filter(|_| a.count > 1)
     }),
     unordered("study", |a| some_text(text(a.object, tags::STUDY_INSTANCE_UID))),
     unordered("frame of reference", |a| {

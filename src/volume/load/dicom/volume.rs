@@ -173,15 +173,12 @@ fn warn_of_unread(unread: &[(usize, String)], slices: &[&Frame], warnings: &mut 
         .map_or(String::new(), |mm| {
             format!(", the first at {} mm along the normal", length(mm))
         });
-    let (are, left) = if unread.len() == 1 {
-        ("slice is", "is")
-    } else {
-        ("slices are", "are")
-    };
-    warnings.push(format!(
-        "{} {are} missing because they cannot be read{at}; what is there {left} left empty ({problem})",
-        unread.len()
-    ));
+    warnings.push(match unread.len() {
+        1 => format!("1 slice is missing because it cannot be read{at}; its place is left empty ({problem})"),
+        n => format!(
+            "{n} slices are missing because they cannot be read{at}; their places are left empty ({problem})"
+        ),
+    });
 }
 
 /// Positions of slices along their normal, mm, for `info`.
