@@ -285,11 +285,7 @@ fn read_values(
     if axes.channels > 1 {
         image.meaning = Meaning::Channels(Vec::new());
     }
-    if choice.spacing.is_none() {
-        image
-            .warnings
-            .push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
-    }
+    image.warnings.extend(choice.spacing_notice([false; 3]));
     if axes.times > 1 {
         if choice.time.is_none() {
             image.warnings.push(format!(

@@ -1,11 +1,12 @@
 //! The geometry of a NIfTI or Analyze file, in LPS.
 
+use super::super::ReadOptions;
 use super::super::source;
 use super::header::{Header, Version};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// World (LPS, mm) from voxel; `size` is the number of voxels along the axes.
-pub(super) fn geometry(header: &mut Header, size: [usize; 3]) -> DAffine3 {
+pub(super) fn geometry(header: &mut Header, size: [usize; 3], choice: &ReadOptions) -> DAffine3 {
     let units = if header.version == Version::Two {
         header.field::<4>(500)[0]
     } else {
@@ -16,7 +17,7 @@ pub(super) fn geometry(header: &mut Header, size: [usize; 3]) -> DAffine3 {
         3 => 0.001,
         _ => 1.0,
     };
-    let (spacing, notices) = spacing(header);
+    let (spacing, notices) = spacing(header, choice);
     let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
     if header.version == Version::Analyze {
         header.warnings.extend(notices);
@@ -59,7 +60,7 @@ pub(super) fn geometry(header: &mut Header, size: [usize; 3]) -> DAffine3 {
 }
 
 /// The distances between voxels, and notices about those that are not usable.
-fn spacing(header: &Header) -> (DVec3, Vec<String>) {
+fn spacing(header: &Header, choice: &ReadOptions) -> (DVec3, Vec<String>) {
     let rank = header.integer(40, 16, 8);
     let (mut spacing, mut notices) = (DVec3::ONE, Vec::new());
     for axis in 0..3 {
@@ -71,6 +72,8 @@ fn spacing(header: &Header) -> (DVec3, Vec<String>) {
                 "its spacing along axis {} is {s}; 1 mm is used",
                 axis + 1
             ));
+        } else if axis == 2 {
+            notices.extend(choice.spacing_notice([true, true, false]));
         }
     }
     (spacing, notices)
