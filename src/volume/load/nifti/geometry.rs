@@ -17,7 +17,14 @@ pub(super) fn geometry(header: &mut Header, size: [usize; 3], choice: &ReadOptio
         3 => 0.001,
         _ => 1.0,
     };
-    let (spacing, notices) = spacing(header, choice);
+    let (spacing, notices) = spacing(header);
+    // A picture's thickness may not be stated, whatever its matrix holds.
+    let rank = header.integer(40, 16, 8);
+    let stated = [0, 1, 2].map(|axis| {
+        let length = header.pixdim(axis + 1);
+        (axis as i64) < rank || length.is_finite() && length != 0.0
+    });
+    header.warnings.extend(choice.spacing_notice(stated));
     let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
     if header.version == Version::Analyze {
         header.warnings.extend(notices);
@@ -60,7 +67,7 @@ pub(super) fn geometry(header: &mut Header, size: [usize; 3], choice: &ReadOptio
 }
 
 /// The distances between voxels, and notices about those that are not usable.
-fn spacing(header: &Header, choice: &ReadOptions) -> (DVec3, Vec<String>) {
+fn spacing(header: &Header) -> (DVec3, Vec<String>) {
     let rank = header.integer(40, 16, 8);
     let (mut spacing, mut notices) = (DVec3::ONE, Vec::new());
     for axis in 0..3 {
@@ -72,8 +79,6 @@ fn spacing(header: &Header, choice: &ReadOptions) -> (DVec3, Vec<String>) {
                 "its spacing along axis {} is {s}; 1 mm is used",
                 axis + 1
             ));
-        } else if axis == 2 {
-            notices.extend(choice.spacing_notice([true, true, false]));
         }
     }
     (spacing, notices)

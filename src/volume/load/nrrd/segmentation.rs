@@ -229,6 +229,7 @@ fn describe(
     let layers = image.components;
     let mut changed = Vec::new();
     let mut labels = BTreeMap::new();
+    let named: BTreeSet<(usize, u32)> = placed.iter().map(|(layer, l)| (*layer, l.value)).collect();
     for (layer, label) in placed {
         let Some(&value) = renumbered.get(&(layer, label.value)) else {
             continue;
@@ -242,6 +243,14 @@ fn describe(
             ));
         }
         labels.entry(value).or_insert(Label { value, ..label });
+    }
+    for (&(layer, from), &to) in renumbered {
+        if from != to && !named.contains(&(layer, from)) {
+            changed.push(format!(
+                "an unnamed one (layer {}) from {from} to {to}",
+                layer + 1
+            ));
+        }
     }
     image.warnings.push(format!(
         "is a segmentation in {layers} layers, combined into one label map; use --channel (1 to {layers}) to see one layer as stored"
