@@ -172,6 +172,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn spacings_that_are_made_up_are_named() {
+        let options = ReadOptions::default();
+        let notice = |stated| options.spacing_notice(stated).unwrap_or_default();
+        assert!(notice([false; 3]).contains("its voxel spacing; 1 mm"));
+        assert!(notice([true, false, false]).contains("along j and k"));
+        assert_eq!(options.spacing_notice([true; 3]), None);
+        let given = ReadOptions {
+            spacing: Some([2.0; 3]),
+            ..ReadOptions::default()
+        };
+        assert_eq!(given.spacing_notice([false; 3]), None);
+    }
+
+    #[test]
     fn layouts_as_typed() {
         let layout = RawLayout::parse("4x5x6:u16:be:skip=12:components=3").unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(

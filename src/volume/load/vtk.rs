@@ -21,6 +21,9 @@ use std::path::Path;
 const MAX_LINE_BYTES: u64 = 1 << 16;
 /// Types of fields that are not images.
 const UNREADABLE_TYPES: [&str; 4] = ["bit", "string", "unicode_string", "variant"];
+/// Maximum number of arrays that are looked at, and of those that a notice names.
+const MAX_ARRAYS: usize = 1000;
+const MAX_NAMED: usize = 8;
 /// Maximum number of lines that are not values.
 const MAX_HEADER_LINES: usize = 10_000;
 
@@ -156,14 +159,20 @@ fn left_out(arrays: &[ValueArray], shown: &ValueArray) -> Option<String> {
     let others: Vec<String> = arrays
         .iter()
         .filter(|a| a.at != shown.at)
+        .take(MAX_NAMED)
         .map(|a| {
             let cells = if a.on_cells { " of cells" } else { "" };
             format!("{} ({}{cells})", a.name, a.keyword)
         })
         .collect();
     (!others.is_empty()).then(|| {
+        let more = if arrays.len() - 1 > MAX_NAMED {
+            " and others"
+        } else {
+            ""
+        };
         format!(
-            "also holds the arrays {}; \"{}\" ({}) is used",
+            "also holds the arrays {}{more}; \"{}\" ({}) is used",
             others.join(", "),
             shown.name,
             shown.keyword
@@ -217,7 +226,7 @@ fn header_and_arrays(
     while let Some(text) = line(path, reader)? {
         lines += 1;
         // The values of text arrays are passed over as lines.
-        if lines > MAX_HEADER_LINES && (binary || arrays.is_empty()) {
+        if lines > MAX_HEADER_LINES && (binary || arrays.is_empty()) || arrays.len() >= MAX_ARRAYS {
             break;
         }
         watch.check()?;
@@ -327,7 +336,7 @@ fn declared(
         // A table of colours: red, green, blue and opacity.
         "LOOKUP_TABLE" if header.binary => {
             let bytes = number(2).and_then(|n| n.checked_mul(4));
-            return pass(path, reader, bytes);
+            return Ok(pass(reader, bytes));
         }
         // Its first line is empty, as is the one that ends it.
         "METADATA" => {
@@ -359,11 +368,7 @@ fn declared(
         on_cells: header.on_cells,
         at,
     });
-    if header.binary {
-        pass(path, reader, bytes)
-    } else {
-        Ok(true)
-    }
+    Ok(!header.binary || pass(reader, bytes))
 }
 
 /// The arrays of a field. Those with another number of values than the image has, as of the whole
@@ -376,7 +381,7 @@ fn fields(
     arrays: &mut Vec<ValueArray>,
 ) -> Result<bool> {
     let mut remaining = number;
-    while remaining > 0 {
+    while remaining > 0 && arrays.len() < MAX_ARRAYS {
         let Some(text) = line(path, reader)? else {
             return Ok(false);
         };
@@ -426,7 +431,7 @@ fn fields(
             let bytes = tuples
                 .checked_mul(components)
                 .and_then(|values| byte_count(kind, values));
-            if !pass(path, reader, bytes)? {
+            if !pass(reader, bytes) {
                 return Ok(false);
             }
         }
@@ -446,13 +451,11 @@ fn byte_count(type_name: &str, values: usize) -> Option<usize> {
     scalar_type(type_name, true).ok()?.bytes().checked_mul(values)
 }
 
-/// Passes over bytes; false if their number is not known.
-fn pass(path: &Path, reader: &mut BufReader<File>, bytes: Option<usize>) -> Result<bool> {
-    let Some(bytes) = bytes.and_then(|n| i64::try_from(n).ok()) else {
-        return Ok(false);
-    };
-    reader.seek_relative(bytes).map_err(|e| read_error(path, e))?;
-    Ok(true)
+/// Passes over bytes; false if their number is not known, or no file has as many.
+fn pass(reader: &mut BufReader<File>, bytes: Option<usize>) -> bool {
+    bytes
+        .and_then(|n| i64::try_from(n).ok())
+        .is_some_and(|n| reader.seek_relative(n).is_ok())
 }
 
 /// The type with a name of VTK. Binary values of the type of indices have 32 bits.

@@ -9,7 +9,6 @@
 //! nothing of the distance of slices. It is quoted in a notice and not used.
 
 use super::directory::{Directory, TiffReader, tag};
-use super::is_tiff;
 use super::metadata::{Description, DescriptionKind, mm_of};
 use super::ome;
 use super::page::PageFormat;
@@ -54,7 +53,8 @@ fn of_ome(file: &TiffReader, text: &str) -> Result<Description> {
         return Ok(ome::parse(text));
     };
     let path = sibling_file(&file.path, &name)?;
-    if path.is_file() && is_tiff(&path) {
+    let is_file = path.is_file();
+    if is_file && TiffReader::is_tiff(&path)? {
         let (mut other, directories) = TiffReader::open(&path)?;
         let first = directories.first().map(|d| other.text(d, tag::DESCRIPTION));
         let mut metadata = ome::parse(&first.transpose()?.unwrap_or_default());
@@ -65,7 +65,7 @@ fn of_ome(file: &TiffReader, text: &str) -> Result<Description> {
         (metadata.uuid, metadata.is_of_other_file) = (ome::parse(text).uuid, true);
         return Ok(metadata);
     }
-    if path.is_file() {
+    if is_file {
         return Ok(ome::parse(&input::text(&path, MAX_XML_BYTES, "OME-XML")?));
     }
     let mut metadata = Description::new(DescriptionKind::Ome);

@@ -2,7 +2,7 @@
 //!
 //! Source: TIFF 6.0 section 2; the BigTIFF design of libtiff (offsets of 8 bytes, magic number 43).
 
-use super::super::source::{GZIPPED, open_file, read_error};
+use super::super::source::{GZIPPED, first_bytes, open_file, read_error};
 use crate::{Error, Result};
 use std::collections::HashSet;
 use std::fs::File;
@@ -148,6 +148,14 @@ pub(super) struct TiffReader {
 }
 
 impl TiffReader {
+    /// Whether a file starts as a TIFF or BigTIFF does.
+    pub fn is_tiff(path: &Path) -> Result<bool> {
+        let start = first_bytes(path, 4)?;
+        Ok([b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"]
+            .iter()
+            .any(|magic| start == **magic))
+    }
+
     /// Opens a file and reads its directories.
     ///
     /// # Errors

@@ -167,10 +167,11 @@ impl Store {
         };
         let unreadable = |e: String| fail(format!("holds an array that cannot be read ({e})"));
         let three = self.json(&folder.join("zarr.json"))?;
-        if self.is_file(&folder.join(".zarray")) || three.is_null() {
+        let completed = completed(three.clone());
+        if self.is_file(&folder.join(".zarray")) || completed == three {
             return Array::open(storage, &inner).map_err(|e| unreadable(e.to_string()));
         }
-        let metadata = serde_json::from_value(completed(three)).map_err(|e| unreadable(e.to_string()))?;
+        let metadata = serde_json::from_value(completed).map_err(|e| unreadable(e.to_string()))?;
         Array::new_with_metadata(storage, &inner, metadata).map_err(|e| unreadable(e.to_string()))
     }
 }
@@ -178,7 +179,9 @@ impl Store {
 /// The metadata of an array in which the codecs of numcodecs state what they leave to its defaults.
 /// Its zstd is that of Zarr 3.
 fn completed(mut metadata: Value) -> Value {
-    complete(&mut metadata["codecs"]);
+    if let Some(codecs) = metadata.get_mut("codecs") {
+        complete(codecs);
+    }
     metadata
 }
 
