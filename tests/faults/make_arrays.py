@@ -23,6 +23,7 @@ import numpy
 import tifffile
 import zarr
 from PIL import Image as Picture
+import zarr.codecs.numcodecs as numcodecs_of
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec, GzipCodec, TransposeCodec, ZstdCodec
 
 CASES = []
@@ -256,6 +257,11 @@ def tiff_planes():
         case(kind, f"orientation-{n}", relative(path), "tifffile", pages(path), warns=[f"orientation {n}"])
     path = retagged(tiff("cfa.tif", volume(numpy.uint16)), PhotometricInterpretation=32803)
     case(kind, "cfa", relative(path), "tifffile", pages(path), warns=["CFA"])
+    for name, tag in (("image-depth", 32997), ("tile-depth", 32998)):
+        path = renumbered(tiff(f"{name}.tif", volume("uint8"), extratags=[(65000, "I", 1, 3, False)]), 65000, tag)
+        case(kind, name, relative(path), "TIFF, SGI's tags", error=["".join(part.capitalize() for part in name.split("-"))])
+    path = renumbered(tiff("image-depth-1.tif", volume("uint8"), extratags=[(65000, "I", 1, 1, False)]), 65000, 32997)
+    case(kind, "image-depth-1", relative(path), "tifffile", pages(path).astype(int))
 
 
 def tiff_compression():
@@ -396,6 +402,18 @@ def tiff_ome_imagej():
     path = tiff("rgb-uncounted.ome.tif", volume("uint8", (3, 6, 7, 3)), photometric="rgb", description=text)
     case(kind, "ome-rgb-uncounted", relative(path), "tifffile's pages", colors=pages(path), components=3, not_warns=["declares"])
     binary = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:00000000-0000-0000-0000-000000000000"><BinaryOnly MetadataFile="all.companion.ome" UUID="urn:uuid:5"/></OME>'
+    # A TIFF among the others holds the description of all.
+    described = tifffile.TiffFile(at("tiff", "ome-several", names[0])).pages[0].description
+    for n, name in enumerate(names):
+        pointing = binary.replace("000000000000\"", f"00000000000{n}\"").replace("all.companion.ome", names[0]).replace("urn:uuid:5", "urn:uuid:00000000-0000-0000-0000-000000000000")
+        tiff(f"ome-master/{name}", stack[n], description=pointing if n else described)
+    for n, name in enumerate(names):
+        case(kind, f"ome-master-{n}", f"tiff/ome-master/{name}", "tifffile", stack, spacing_mm=spacing, not_warns=["missing", "declares"])
+    pointing = binary.replace("all.companion.ome", "all.ome.tif").replace("urn:uuid:5", "urn:uuid:1")
+    tiff("ome-master-alone/z0.ome.tif", stack[0] + 1, description=pointing)
+    alone = '<?xml version="1.0"?><OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:1"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="uint16" SizeX="7" SizeY="6" SizeZ="3" SizeC="1" SizeT="1"><Channel ID="Channel:0:0" SamplesPerPixel="1"/><TiffData/></Pixels></Image></OME>'
+    tiff("ome-master-alone/all.ome.tif", stack, description=alone)
+    case(kind, "ome-master-holds-all", "tiff/ome-master-alone/z0.ome.tif", "OME-TIFF 6", stack)
     path = several("ome-companion", [0, 1, 2], description=binary)
     text = tifffile.TiffFile(at("tiff", "ome-several", names[0])).pages[0].description
     at("tiff", "ome-companion", "all.companion.ome").write_text(text)
@@ -627,6 +645,10 @@ def zarr_axes():
     path = zarr_array("groups/b", data)
     zarr.open_group(str(path.parent), mode="a", zarr_format=2)
     case(kind, "group-of-two", relative(path.parent), "zarr", error=["2 arrays", "a, b"])
+    path = zarr_array("well/0", data, "zyx")
+    zarr.open_group(str(path.parent), mode="a", zarr_format=2).attrs.update({"well": {"version": "0.4", "images": [{"path": "0"}, {"path": "1"}]}})
+    case(kind, "well", relative(path.parent), "OME-NGFF 0.4, well", error=["well of 2 images", "(0, 1)"])
+    case(kind, "well-image", relative(path), "OME-NGFF 0.4, well", read)
     path = zarr_array("six-axes.zarr", data.reshape(1, 1, 1, 3, 6, 7))
     case(kind, "six-axes", relative(path), "zarr", error=["6 axes"])
 
@@ -687,6 +709,20 @@ def zarr_codecs():
                 content = file.read_bytes()
                 file.write_bytes(content[:4] + bytes(4) + content[8:])
         case(kind, name, relative(path), "zarr", zarr.open_array(str(path / "0"), mode="r")[...])
+    # zarr-python leaves out what is numcodecs' default.
+    for name, codecs in (
+        ("zlib", [numcodecs_of.Zlib()]),
+        ("zlib-level", [numcodecs_of.Zlib(level=6)]),
+        ("bz2", [numcodecs_of.BZ2()]),
+        ("zstd", [numcodecs_of.Zstd()]),
+        ("shuffle", [numcodecs_of.Shuffle(elementsize=2), numcodecs_of.Zlib()]),
+        ("shuffle-4", [numcodecs_of.Shuffle(), numcodecs_of.BZ2()]),
+    ):
+        values = data.astype("int32") if name == "shuffle-4" else data
+        path = zarr_array(f"numcodecs-{name}.zarr", values, "zyx", 3, compressors=codecs)
+        case(kind, f"3-numcodecs-{name}", relative(path), "zarr", zarr.open_array(str(path / "0"), mode="r")[...])
+    path = zarr_array("numcodecs-sharded.zarr", data, "zyx", 3, shards=(4, 6, 8), chunks=(2, 3, 4), compressors=[numcodecs_of.Zlib()])
+    case(kind, "3-numcodecs-sharded", relative(path), "zarr", zarr.open_array(str(path / "0"), mode="r")[...])
     path = zarr_array("codec-3-unknown.zarr", data, "zyx", 3)
     zarr_json(path, lambda m: m["codecs"].append({"name": "numcodecs.lz4", "configuration": {}}), "0/zarr.json")
     case(kind, "3-lz4", relative(path), "numcodecs", error=['"numcodecs.lz4"'])
@@ -742,6 +778,17 @@ def numpy_types():
     case(kind, "fortran", relative(path), "NumPy", numpy.load(path).transpose(2, 1, 0))
     path = written("two-axes", data[0].astype("float32"))
     case(kind, "two-axes", relative(path), "NumPy", numpy.load(path)[None])
+    path = written("fortran-zyx", data.astype("int16"), fortran=True)
+    case(kind, "fortran-zyx", relative(path), "numpy.lib.format", numpy.load(path).transpose(2, 1, 0), warns=["Fortran order; its first axis is taken as i"])
+    path = written("c-order", data.astype("int16"))
+    case(kind, "c-order", relative(path), "NumPy", numpy.load(path), not_warns=["Fortran"])
+    for name, shape in (("rgb", (4, 6, 7, 3)), ("rgba", (5, 6, 7, 4)), ("rgb-of-3", (3, 6, 7, 3))):
+        path = written(f"fortran-{name}", volume("uint8", shape), fortran=True)
+        case(kind, f"fortran-{name}", relative(path), "numpy.lib.format", colors=numpy.load(path).transpose(2, 1, 0, 3), components=shape[3], warns=["its last one as colours"])
+    path = written("fortran-color-first", volume("uint8", (3, 6, 7, 5)), fortran=True)
+    case(kind, "fortran-color-first", relative(path), "numpy.lib.format", colors=numpy.load(path).transpose(3, 2, 1, 0), components=3, warns=["its first axis is taken as colours"])
+    path = written("fortran-times", volume("int16", (7, 6, 5, 3)), fortran=True)
+    case(kind, "fortran-times", relative(path), "numpy.lib.format", numpy.load(path)[..., 1].transpose(2, 1, 0), options={"time": 2}, time_points=3, warns=["its first axis is taken as i"])
     four = volume("uint16", (2, 3, 6, 7), 60013)
     path = written("four-axes", four)
     case(kind, "four-axes", relative(path), "NumPy", numpy.load(path)[1], options={"time": 2}, time_points=2)
@@ -881,6 +928,10 @@ def pictures():
     for n in range(3):
         Picture.fromarray(stack[n] % 3 == 0).save(at("pictures", "bits", f"s{n}.tif"), compression="group4")
     case(kind, "folder-bits", "pictures/bits", "Pillow", (stack % 3 == 0).astype(int))
+    path = at("pictures", "nifti.zip")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(zipfile.ZipInfo("scan/x.nii.gz", (1980, 1, 1, 0, 0, 0)), gzip.compress(bytes(352), mtime=0))
+    case(kind, "zip-of-nifti", relative(path), "file names", error=["scan/x.nii.gz", "no DICOM", "unpack it"])
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ MODULES = (
     "segmentations",
     "nifti_files",
     "metaimages",
+    "vtk_files",
     "polygons",
     "meshes",
     "itk",

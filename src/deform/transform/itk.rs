@@ -91,6 +91,7 @@ fn chain(path: &Path, entries: Vec<ItkTransform>) -> Result<Transform> {
     if own.iter().any(|e| e.is_spline_of_order_0()) {
         warnings.push("holds B-splines of order 0, which ITK applies without moving anything".into());
     }
+    warnings.extend(own.iter().filter_map(|e| e.versor_notice()));
     let steps = own
         .into_iter()
         .rev()
@@ -117,7 +118,7 @@ pub(super) fn read_matlab(path: &Path, bytes: &[u8]) -> Result<Option<Transform>
         if !matches!(kind, 0 | 10)
             || imaginary != 0
             || !(1..=64).contains(&name_length)
-            || rows < 1
+            || rows < 0
             || !(1..=16).contains(&columns)
         {
             return if matrices.is_empty() {
@@ -140,6 +141,9 @@ pub(super) fn read_matlab(path: &Path, bytes: &[u8]) -> Result<Option<Transform>
         let name = String::from_utf8_lossy(&bytes[at + 20..start])
             .trim_end_matches('\0')
             .to_owned();
+        if matrices.is_empty() && (name.is_empty() || !name.chars().all(|c| c.is_ascii_graphic())) {
+            return Ok(None);
+        }
         let values = data.chunks_exact(width).map(|b| match *b {
             [a, b, c, d] => f64::from(f32::from_le_bytes([a, b, c, d])),
             [a, b, c, d, e, f, g, h] => f64::from_le_bytes([a, b, c, d, e, f, g, h]),

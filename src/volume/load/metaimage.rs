@@ -43,7 +43,7 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     let scalar = header.scalar()?;
     let stored = count(path, &[size[0], size[1], size[2], components], scalar)?;
     let whole = count(path, &[stored, frames], scalar)?;
-    let world_from_voxel = header.geometry(sizes.len(), &mut warnings)?;
+    let world_from_voxel = header.geometry(sizes.len(), choice, &mut warnings)?;
     let data = header.need("elementdatafile")?;
     let local = data.eq_ignore_ascii_case("local");
     let values = ValueLayout {
@@ -204,7 +204,7 @@ impl<'a> Header<'a> {
     }
 
     /// Voxel indices to world millimetres for an image with `rank` axes.
-    fn geometry(&self, rank: usize, warnings: &mut Vec<String>) -> Result<DAffine3> {
+    fn geometry(&self, rank: usize, choice: &ReadOptions, warnings: &mut Vec<String>) -> Result<DAffine3> {
         let spacing = self.numbers(&["elementspacing", "elementsize"], rank)?;
         let origin = self.numbers(&["offset", "position", "origin"], rank)?;
         let matrix = self.numbers(&["transformmatrix", "rotation", "orientation"], rank * rank)?;
@@ -214,6 +214,15 @@ impl<'a> Header<'a> {
             }
             warnings.push(format!(
                 "has the negative spacing {s}; its absolute value is used"
+            ));
+        }
+        let stated = |axis| spacing.is_some() && axis < rank;
+        warnings.extend(choice.spacing_notice([0, 1, 2].map(stated)));
+        if let Some(unit) = self.get(&["distanceunits"])
+            && !matches!(unit.to_ascii_lowercase().as_str(), "mm" | "?" | "")
+        {
+            warnings.push(format!(
+                "states its distances in {unit} (DistanceUnits), which ITK ignores; they are read as mm"
             ));
         }
         // ITK writes both and reads the matrix alone.

@@ -27,7 +27,9 @@ pub use read_options::{RawLayout, ReadOptions};
 pub use scalar_type::ScalarType;
 
 use super::{StoredValues, Volume, Voxels, phantom};
+use crate::panic_guard::catch_panic;
 use crate::{Error, Result, Watch};
+use std::io::BufReader;
 use std::path::Path;
 
 /// Extensions of readable files, for messages.
@@ -197,7 +199,11 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
     }
     match format_of(path, choice)? {
         FileFormat::Zip if zarr::is_zipped(path) => zarr::read(path, choice, watch),
-        FileFormat::Dicom | FileFormat::Zip => dicom::read(path, choice, watch),
+        FileFormat::Zip => dicom::read(path, choice, watch).map_err(|e| match e {
+            Error::Cancelled => e,
+            e => foreign_zip(path).unwrap_or(e),
+        }),
+        FileFormat::Dicom => dicom::read(path, choice, watch),
         FileFormat::Nifti => nifti::read(path, choice, watch),
         FileFormat::Nrrd => nrrd::read(path, choice, watch),
         FileFormat::MetaImage => metaimage::read(path, choice, watch),
@@ -209,6 +215,32 @@ fn by_format(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> 
         FileFormat::Npz => npy::read_archive(path, choice, watch),
         FileFormat::Raw => raw::read(path, choice, watch),
     }
+}
+
+/// The error about a zip of files of other formats; none for one without such files.
+fn foreign_zip(path: &Path) -> Option<Error> {
+    let names = catch_panic(|| -> Option<Vec<String>> {
+        let (file, _) = source::open_file(path).ok()?;
+        let archive = zip::ZipArchive::new(BufReader::new(file)).ok()?;
+        let names = archive.file_names().flatten().map(|n| n.into_owned());
+        Some(names.collect())
+    })??;
+    let others = [FileFormat::Dicom, FileFormat::Zip];
+    let is_foreign =
+        |name: &&String| FileFormat::of_name(Path::new(name)).is_some_and(|f| !others.contains(&f));
+    let name = names.iter().find(is_foreign)?;
+    // DICOM often has no extension.
+    let may_be_dicom = |name: &String| {
+        let path = Path::new(name);
+        let is_folder = name.ends_with('/');
+        !is_folder && path.extension().is_none() || FileFormat::of_name(path) == Some(FileFormat::Dicom)
+    };
+    (!names.iter().any(may_be_dicom)).then(|| {
+        Error::file(
+            path,
+            format!("holds {name}, but no DICOM and no OME-Zarr, which are read from a zip; unpack it and name that file"),
+        )
+    })
 }
 
 /// The format of a file.

@@ -148,7 +148,7 @@ fn image(
     check_held(path, values.end().saturating_add(offset), max_bytes)?;
     skip(path, &mut reader, offset - passed)?;
     let voxels = values.read(reader)?;
-    let (rescale, world_from_voxel) = (header.rescale(), geometry(header, size));
+    let (rescale, world_from_voxel) = (header.rescale(), geometry(header, size, choice));
     let mut image = Image::new(header.format_name(), voxels, size, world_from_voxel);
     (image.components, image.rescale) = (components * stored.colors, rescale);
     (image.intent, image.intent_name) = (header.intent(), header.intent_name());

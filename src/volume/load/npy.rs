@@ -3,7 +3,8 @@
 //!
 //! The contiguous axis becomes i: the last one of an array in C order (`volume[z, y, x]`, as in
 //! image libraries), the first one in Fortran order (`volume[x, y, z]`, as in nibabel). Three or
-//! four u8 along the contiguous one of four or five axes are colours. Of four other axes the
+//! four u8 along the contiguous one of four or five axes are colours, and along the last of four axes
+//! in Fortran order, in which NumPy holds colours in either order. Of four other axes the
 //! slowest is time, of five the two slowest are time and channel (`volume[t, c, z, y, x]`, as in
 //! OME). Booleans are read as 0 and 1, floats of 16 bits as 32. Source: numpy.lib.format.
 
@@ -32,6 +33,8 @@ struct Header {
     swap: bool,
     /// Extents of the axes, the contiguous axis first.
     extents: Vec<usize>,
+    /// Whether the contiguous axis is the first one of the array.
+    fortran: bool,
 }
 
 impl Header {
@@ -112,6 +115,7 @@ impl Header {
             is_half: kind == "f2",
             swap,
             extents,
+            fortran,
         })
     }
 }
@@ -135,6 +139,8 @@ fn refused(descr: &str) -> String {
 struct ArrayAxes {
     /// Values of a colour, stored together.
     colors: usize,
+    /// Whether the channels are those of colours.
+    is_color: bool,
     size: [usize; 3],
     channels: usize,
     times: usize,
@@ -142,8 +148,18 @@ struct ArrayAxes {
 
 impl ArrayAxes {
     /// From the extents, the contiguous axis first.
-    fn of(mut extents: Vec<usize>, scalar: ScalarType) -> Result<Self, String> {
+    fn of(mut extents: Vec<usize>, scalar: ScalarType, fortran: bool) -> Result<Self, String> {
         let stated = extents.len();
+        // Whatever the order in memory, the last axis of an array holds colours.
+        if let ([i, j, k, colors @ 3..=4], true, ScalarType::U8) = (&extents[..], fortran, scalar) {
+            return Ok(Self {
+                colors: 1,
+                is_color: true,
+                size: [*i, *j, *k],
+                channels: *colors,
+                times: 1,
+            });
+        }
         let mut colors = 1;
         if matches!(extents.len(), 4 | 5) && scalar == ScalarType::U8 && (3..=4).contains(&extents[0]) {
             colors = extents.remove(0);
@@ -164,6 +180,7 @@ impl ArrayAxes {
         };
         Ok(Self {
             colors,
+            is_color: false,
             size: [extent(0), extent(1), extent(2)],
             channels,
             times,
@@ -254,8 +271,10 @@ fn read_values(
         is_half,
         swap,
         extents,
+        fortran,
     } = header;
-    let axes = ArrayAxes::of(extents, scalar).map_err(|problem| Error::file(path, problem))?;
+    let rank = extents.len();
+    let axes = ArrayAxes::of(extents, scalar, fortran).map_err(|problem| Error::file(path, problem))?;
     let time = choice.time_of(axes.times)?;
     let [i, j, k] = axes.size;
     let total = count(path, &[i, j, k, axes.colors, axes.channels], scalar)?;
@@ -282,14 +301,22 @@ fn read_values(
     } else {
         Layout::Interleaved
     };
-    if axes.channels > 1 {
+    if axes.is_color {
+        image.meaning = Meaning::Color;
+    } else if axes.channels > 1 {
         image.meaning = Meaning::Channels(Vec::new());
     }
-    if choice.spacing.is_none() {
-        image
-            .warnings
-            .push("does not state its voxel spacing; 1 mm is assumed (use --spacing to set it)".into());
+    if fortran && rank > 1 {
+        let taken = if axes.is_color {
+            "its first axis is taken as i and its last one as colours"
+        } else if axes.colors > 1 {
+            "its first axis is taken as colours and its second one as i"
+        } else {
+            "its first axis is taken as i"
+        };
+        image.warnings.push(format!("is in Fortran order; {taken}"));
     }
+    image.warnings.extend(choice.spacing_notice([false; 3]));
     if axes.times > 1 {
         if choice.time.is_none() {
             image.warnings.push(format!(
@@ -336,11 +363,15 @@ mod tests {
 
     #[test]
     fn axes() {
-        let of = |extents: &[usize]| ArrayAxes::of(extents.to_vec(), ScalarType::U8);
+        let of = |extents: &[usize]| ArrayAxes::of(extents.to_vec(), ScalarType::U8, false);
         assert_eq!(of(&[3, 5, 6, 7]).map(|a| (a.colors, a.size)), Ok((3, [5, 6, 7])));
         assert_eq!(of(&[3, 7, 6, 5, 2]).map(|a| (a.colors, a.times)), Ok((3, 2)));
         assert_eq!(of(&[7, 6, 5, 2]).map(|a| (a.times, a.channels)), Ok((2, 1)));
         assert_eq!(of(&[7, 6, 5, 3, 2]).map(|a| (a.times, a.channels)), Ok((2, 3)));
         assert!(of(&[]).is_err());
+        // Fortran order, `volume[x, y, z, color]`.
+        let axes = ArrayAxes::of(vec![4, 10, 12, 3], ScalarType::U8, true);
+        let axes = axes.map(|a| (a.size, a.channels, a.is_color));
+        assert_eq!(axes, Ok(([4, 10, 12], 3, true)));
     }
 }

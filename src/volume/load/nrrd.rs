@@ -2,7 +2,7 @@
 //! or hex; up to three spatial axes, one of components and one of time, in any order.
 //!
 //! *Geometry*: `space directions` and `space origin` in the space given by the file, converted to
-//! LPS; else `spacings` (or `axis mins` and `axis maxs`) and `axis mins`. Vectors are given in that
+//! LPS; else `spacings` (or `axis mins` and `axis maxs`, or `thicknesses`) and `axis mins`. Vectors are given in that
 //! space, unless a `measurement frame` is given. Source: the NRRD format definition (Kindlmann,
 //! teem 1.11).
 
@@ -48,8 +48,14 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
     check_kind(path, kind.as_deref(), choice)?;
     let total = count(path, &axes.sizes, scalar)?;
     let mut warnings = std::mem::take(&mut header.warnings);
-    let (world_from_voxel, frame) = geometry(&header.fields, &axes.spatial, axes.sizes.len(), &mut warnings)
-        .map_err(|problem| Error::file(path, problem))?;
+    let (world_from_voxel, frame) = geometry(
+        &header.fields,
+        &axes.spatial,
+        axes.sizes.len(),
+        choice,
+        &mut warnings,
+    )
+    .map_err(|problem| Error::file(path, problem))?;
     let data = Data::new(path, &header, scalar, watch)?;
 
     // If the time axis is the slowest, other times are skipped while reading; otherwise they are

@@ -85,6 +85,27 @@ impl ReadOptions {
         Self::index("time", self.time, count).map(|t| t.unwrap_or(0))
     }
 
+    /// A notice about the axes along which a file does not state its spacing; none if all are
+    /// stated, or given instead of the file's.
+    pub(super) fn spacing_notice(&self, stated: [bool; 3]) -> Option<String> {
+        if self.spacing.is_some() {
+            return None;
+        }
+        let missing: Vec<&str> = ["i", "j", "k"]
+            .into_iter()
+            .zip(stated)
+            .filter_map(|(name, stated)| (!stated).then_some(name))
+            .collect();
+        let what = match missing[..] {
+            [] => return None,
+            [_, _, _] => "its voxel spacing".to_owned(),
+            _ => format!("its spacing along {}", missing.join(" and ")),
+        };
+        Some(format!(
+            "does not state {what}; 1 mm is assumed (use --spacing to set it)"
+        ))
+    }
+
     /// Index of one of `count` items by its number from 1.
     pub(super) fn index(what: &str, number: Option<usize>, count: usize) -> Result<Option<usize>> {
         match number {
@@ -149,6 +170,20 @@ impl RawLayout {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn spacings_that_are_made_up_are_named() {
+        let options = ReadOptions::default();
+        let notice = |stated| options.spacing_notice(stated).unwrap_or_default();
+        assert!(notice([false; 3]).contains("its voxel spacing; 1 mm"));
+        assert!(notice([true, false, false]).contains("along j and k"));
+        assert_eq!(options.spacing_notice([true; 3]), None);
+        let given = ReadOptions {
+            spacing: Some([2.0; 3]),
+            ..ReadOptions::default()
+        };
+        assert_eq!(given.spacing_notice([false; 3]), None);
+    }
 
     #[test]
     fn layouts_as_typed() {

@@ -20,7 +20,7 @@ use decoding::{Base64, Blocks, Compression};
 use document::{ArrayLocation, VtiArray, VtiDocument, VtiPiece, document};
 use glam::{DAffine3, DMat3, DVec3};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Maximum size of a block, bytes.
@@ -89,6 +89,9 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
             "does not state its patient orientation; left, posterior, superior axes are assumed".into(),
         );
     }
+    image
+        .warnings
+        .extend(choice.spacing_notice([document.spacing.is_some(); 3]));
     let others: Vec<&str> = first
         .points
         .iter()
@@ -104,6 +107,30 @@ pub fn read(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Image> {
         ));
     }
     Ok(image)
+}
+
+/// The text before the next tag.
+struct UpToTag(BufReader<File>);
+
+impl Read for UpToTag {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        let text = self.fill_buf()?;
+        let count = text.len().min(bytes.len());
+        bytes[..count].copy_from_slice(&text[..count]);
+        self.consume(count);
+        Ok(count)
+    }
+}
+
+impl BufRead for UpToTag {
+    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        let bytes = self.0.fill_buf()?;
+        let end = bytes.iter().position(|b| *b == b'<').unwrap_or(bytes.len());
+        Ok(&bytes[..end])
+    }
+    fn consume(&mut self, amount: usize) {
+        self.0.consume(amount);
+    }
 }
 
 /// The array to show: the active scalars, else the active vectors, else the first; point data
@@ -139,7 +166,7 @@ fn world_from_voxel(document: &VtiDocument, on_cells: bool) -> DAffine3 {
     let corner = DVec3::from_array(std::array::from_fn(|a| {
         document.whole[2 * a] as f64 + if on_cells { 0.5 } else { 0.0 }
     }));
-    let linear = document.direction * DMat3::from_diagonal(document.spacing);
+    let linear = document.direction * DMat3::from_diagonal(document.spacing.unwrap_or(DVec3::ONE));
     DAffine3 {
         matrix3: linear,
         translation: document.origin + linear * corner,
@@ -210,7 +237,8 @@ impl Values<'_> {
         };
         match array.place {
             ArrayLocation::Text(at) => {
-                super::text::values(path, start(at)?, [0, count], self.scalar, self.watch)
+                // The text ends with the tag that follows it.
+                super::text::values(path, UpToTag(start(at)?), [0, count], self.scalar, self.watch)
             }
             ArrayLocation::Base64(at) => self.unpacked(Base64::new(start(at)?), count),
             ArrayLocation::Appended(offset) => {

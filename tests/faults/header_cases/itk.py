@@ -142,6 +142,21 @@ def make(cases):
     for name, *entry in affines()[1:3] + affines()[10:11]:
         add(f"{name}-matlab", matlab(entry), [], "mat", of_itk(text(entry), POINTS))
         add(f"{name}-txt", text(entry), POINTS, "txt")
+    # SimpleITK writes an empty matrix where a type has no numbers.
+    add("translation-matlab", matlab(affines()[7][1:]), [], "mat", of_itk(text(affines()[7][1:]), POINTS))
+    add("identity-matlab", matlab(affines()[0][1:]), [], "mat", of_itk(text(affines()[0][1:]), POINTS))
+    long = [0.8, 0.7, 0.3]
+    for name, kind, more in (
+        ("versor-rigid", "VersorRigid3DTransform", []),
+        ("similarity", "Similarity3DTransform", [1.2]),
+        ("scale-versor", "ScaleVersor3DTransform", [1.1, 1.2, 1.3]),
+        ("scale-skew-versor", "ScaleSkewVersor3DTransform", [1.1, 1.2, 1.3] + [0.1] * 6),
+        ("compose-scale-skew", "ComposeScaleSkewVersor3DTransform", [1.1, 1.2, 1.3] + [0.1] * 3),
+    ):
+        entry = (f"{kind}_double_3_3", long + [1, 2, 3] + more, CENTER)
+        add(f"{name}-too-long", text(entry), POINTS, warns=["length 1.10"])
+    half = ("VersorRigid3DTransform_double_3_3", [0.6, 0.8, 0, 1, 2, 3], CENTER)
+    add("versor-rigid-half-turn", text(half), POINTS)
     crlf = text(affines()[1][1:]).replace("\n", "\r\n")
     add("crlf", crlf, [], right=of_itk(crlf.replace("\r", ""), POINTS))
     make_composites(add)
@@ -293,6 +308,11 @@ def make_refusals(cases):
     d = "_double_3_3"
     landmarks = [0, 0, 0, 10, 0, 0, 0, 10, 0, 0, 0, 10]
     for name, content, fragments in [
+        (
+            "versor-too-long",
+            text(("VersorTransform" + d, [0.8, 0.7, 0.3], CENTER)),
+            ["versor", "longer than 1"],
+        ),
         (
             "azimuth",
             text(("AzimuthElevationToCartesianTransform" + d, MATRIX + [0, 0, 0], CENTER)),

@@ -195,6 +195,19 @@ def make(cases):
         spacing_mm=[0.5, 0.75, 1],
         origin_mm=[1, 2, 0],
     )
+    case(
+        "two-axes-thickness",
+        text(sizes=SIZE[:2], geometry="ElementSpacing = 0.5 0.75\n"),
+        in_file(two),
+        peer={"peer": "SimpleITK"},
+        spacing_mm=[0.5, 0.75, 1],
+        warns=["spacing along k; 1 mm is assumed"],
+    )
+    case("no-spacing", text(geometry="Offset = 1 2 3\n"), warns=["1 mm is assumed"])
+    case("spacing-stated", text(), not_warns=["1 mm"])
+    case("element-size-stated", text(geometry="ElementSize = 1 1 1\n"), not_warns=["1 mm"])
+    case("distance-units", text("DistanceUnits = um\n"), warns=["DistanceUnits"])
+    case("distance-units-mm", text("DistanceUnits = mm\n"), not_warns=["DistanceUnits"])
     four = np.stack([v + 1000 * t for t in range(3)], axis=-1)
     matrix4 = "TransformMatrix = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n"
     header = text(

@@ -81,6 +81,12 @@ def make_nifti(cases):
         peer=right(np.diag([0.5, 0.75, 2, 1])),
         warns=["no orientation"],
     )
+    flat = patched(nifti(v[:, :, :1]), (40, "<h", 2), (88, "<f", 0), (252, "<2h", 0, 0))
+    expected = {"peer": "nifti1.h", "size": [5, 6, 1], "spacing_mm": [0.5, 0.75, 1]}
+    thickness = ["along k; 1 mm is assumed"]
+    case("picture-without-thickness", flat, peer=lambda path: expected, warns=thickness)
+    thick = patched(flat, (88, "<f", 3))
+    case("picture-with-thickness", thick, peer=lambda path: expected | {"spacing_mm": [0.5, 0.75, 3]}, not_warns=["1 mm"])
     sheared = OBLIQUE.copy()
     sheared[0, 2] = 0.5
     case("sheared-sform", nifti(v, sheared, qform=0))

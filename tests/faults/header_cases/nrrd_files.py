@@ -284,6 +284,56 @@ def make_fields(cases):
         spacing_mm=[1, 2, 2],
         origin_mm=[1.5, 3, 4],
     )
+    unknown = ["centerings"]
+    case("axis-mins", text("", geometry="axis mins: 1 2 3\nspacings: 0.5 0.75 2\n"), peer=of_itk, warns=unknown)
+    case(
+        "axis-mins-some-centerings",
+        text("centers: cell node ???\n", geometry="axis mins: 1 2 3\nspacings: 0.5 0.75 2\n"),
+        peer=of_itk,
+        warns=unknown,
+    )
+    case(
+        "axis-mins-node-spacings",
+        text("centers: node node node\n", geometry="axis mins: 1 2 3\nspacings: 0.5 0.75 2\n"),
+        peer=of_itk,
+        not_warns=unknown,
+    )
+    case(
+        "axis-mins-and-maxs",
+        text("", geometry="axis mins: 0 0 0\naxis maxs: 10 12 8\n"),
+        peer=by_hand(v),
+        spacing_mm=[2, 2, 2],
+        origin_mm=[1, 1, 1],
+        warns=unknown,
+        not_warns=["1 mm"],
+    )
+    made_up, along_k = ["its voxel spacing; 1 mm is assumed"], ["along k; 1 mm is assumed"]
+    case("no-geometry", text("", geometry=""), warns=made_up)
+    case("space-alone", text("", geometry="space: LPS\nspace origin: (1,2,3)\n"), warns=[*made_up, "space directions"])
+    case("spacing-unknown", text("", geometry="spacings: 0.5 0.75 nan\n"), spacing_mm=[0.5, 0.75, 1], warns=along_k)
+    case("spacing-0", text("", geometry="spacings: 0.5 0.75 0\n"), peer=by_hand(v), spacing_mm=[0.5, 0.75, 1], warns=along_k)
+    case(
+        "thickness-for-spacing",
+        text("", geometry="spacings: 0.5 0.75 nan\nthicknesses: nan nan 3\n"),
+        peer=by_hand(v),
+        spacing_mm=[0.5, 0.75, 3],
+        warns=["thickness of 3"],
+        not_warns=["1 mm"],
+    )
+    case("spacing-stated", text(""), not_warns=["1 mm", "no space origin"])
+    case(
+        "unit-no-length",
+        text("", geometry='spacings: 0.5 0.75 2\nunits: "mm" "mm" "parsec"\n'),
+        peer=of_itk,
+        warns=["parsec"],
+    )
+    case(
+        "space-unit-no-length",
+        text('space units: "parsec" "parsec" "parsec"\n'),
+        peer=of_itk,
+        warns=["parsec"],
+    )
+    case("no-space-origin", text("").replace("space origin: (-3,4,5)\n", ""), peer=of_itk, warns=["no space origin"])
     case(
         "units-micron",
         text("", version=2, geometry='spacings: 500 750 2000\nunits: "um" "um" "um"\n'),
@@ -325,6 +375,7 @@ def make_fields(cases):
         ("no-type", text("").replace("type: ushort\n", ""), data, ["type"]),
         ("no-encoding", text("").replace("encoding: raw\n", ""), data, ["encoding"]),
         ("endian-middle", text("", endian="middle"), data, ["middle"]),
+        ("origin-nan", text("").replace("(-3,4,5)", "(nan,4,5)"), data, ["space origin (nan,4,5)"]),
         ("singular-directions", text("").replace("(0,0.75,0)", "(0.5,0,0)"), data, ["singular"]),
         ("directions-too-few", text("").replace(" (0,0,2)", ""), data, ["space directions"]),
         ("no-empty-line", text("")[:-1], b"", ["truncated"]),
@@ -478,10 +529,10 @@ def make_spaces(cases):
     oblique = "space directions: (0.4,0.3,0) (-0.45,0.6,0) (0,0,2)\nspace origin: (-3,4,5)\n"
     for space in ("left-posterior-superior", "RAS", "LAS", "right-anterior-superior"):
         case(f"space-{space.lower()}", f"space: {space}\n{oblique}")
-    case("space-scanner-xyz", f"space: scanner-xyz\n{oblique}")
-    case("space-3d-right-handed", f"space: 3D-right-handed\n{oblique}")
+    case("space-scanner-xyz", f"space: scanner-xyz\n{oblique}", warns=["scanner-xyz"])
+    case("space-3d-right-handed", f"space: 3D-right-handed\n{oblique}", warns=["3d-right-handed"])
     case("space-3d-left-handed", f"space: 3D-left-handed\n{oblique}", warns=["3d-left-handed"])
-    case("space-dimension", f"space dimension: 3\n{oblique}")
+    case("space-dimension", f"space dimension: 3\n{oblique}", warns=["no orientation"])
     case(
         "left-handed-axes",
         "space: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,-2)\nspace origin: (1,2,3)\n",
@@ -509,4 +560,5 @@ def make_spaces(cases):
         body=in_file(v[:, :, 0]),
         spacing_mm=[0.5, 0.75, 1],
         origin_mm=[1, 2, 0],
+        warns=["along k; 1 mm is assumed"],
     )

@@ -424,6 +424,26 @@ def make_fields(cases):
             "SimpleITK",
             points=mapped(transform, [(0.0, 0.0, 0.0), (-8.0, -9.0, -10.0), (-2.0, 5.0, 17.0)]),
         )
+    plain = SimpleITK.Image(image)
+    plain.SetSpacing((1, 1, 1))
+    plain.SetOrigin((0, 0, 0))
+    path = cases.path("others/field-no-spacing.mha")
+    SimpleITK.WriteImage(plain, path)
+    with open(path, "rb") as file:
+        lines = file.read().split(b"\n")
+    lines = [line for line in lines if not line.startswith(b"ElementSpacing")]
+    cases.write("others/field-no-spacing.mha", b"\n".join(lines))
+    transform = SimpleITK.DisplacementFieldTransform(
+        SimpleITK.ReadImage(path, SimpleITK.sitkVectorFloat64)
+    )
+    cases.add(
+        KIND,
+        "field-no-spacing",
+        "others/field-no-spacing.mha",
+        "SimpleITK",
+        points=mapped(transform, [(1.0, 2.0, 1.0), (2.0, 1.0, 3.0)]),
+        warns=["1 mm is assumed"],
+    )
     four = vectors[..., 0, :]
     for code, word in ((2007, "cubic spline"), (2008, "cosine"), (2009, "quadratic")):
         image = nibabel.Nifti1Image(four, affine)

@@ -78,6 +78,14 @@ def make(cases):
         spacing_mm=[1, 1, 2],
         origin_mm=[7, 8, 9],
     )
+    unnamed = np.where(tumour > 0, 3, base)
+    case(
+        "unnamed-value-renumbered",
+        text(keys(("liver", 1, 0, reds[0]), ("spleen", 2, 0, reds[1])), 2),
+        [base, tumour],
+        values=some_values(unnamed) + [[2, 0, 0, 3.0]],
+        warns=["an unnamed one (layer 2) from 1 to 3"],
+    )
     case(
         "layers-last",
         text(three, 2, last=True),

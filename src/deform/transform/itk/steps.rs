@@ -7,6 +7,9 @@ use crate::{Error, Result};
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use std::path::Path;
 
+/// How much a versor's length may exceed 1 by rounding; ITK's number.
+const VERSOR_TOLERANCE: f64 = 1e-10;
+
 /// One transform of a file: type, parameters, fixed parameters.
 pub(in crate::deform::transform) struct ItkTransform {
     pub kind: String,
@@ -25,6 +28,23 @@ impl ItkTransform {
     pub fn is_spline_of_order_0(&self) -> bool {
         let (name, dimensions) = self.name_and_dimensions();
         name == "BSplineTransform" && dimensions.ends_with("_3_3_0")
+    }
+
+    /// A notice about a versor that is too long for a rotation.
+    pub fn versor_notice(&self) -> Option<String> {
+        let (name, _) = self.name_and_dimensions();
+        let of_versor = matches!(
+            name,
+            "VersorRigid3DTransform"
+                | "Similarity3DTransform"
+                | "ScaleVersor3DTransform"
+                | "ScaleSkewVersor3DTransform"
+                | "ComposeScaleSkewVersor3DTransform"
+        );
+        let length = vec3(self.parameters.get(..3).filter(|_| of_versor)?).length();
+        (length > 1.0 + 1e-6).then(|| {
+            format!("has a versor of length {length:.4}, which is no rotation; it is normalised, as in ITK")
+        })
     }
 
     /// Fails unless there are exactly `n` parameters and at least `fixed` fixed parameters.
@@ -130,9 +150,19 @@ fn euler(angles: &[f64], zyx: bool) -> DMat3 {
     if zyx { z * y * x } else { z * x * y }
 }
 
-/// The rotation of a versor, of which the vector part is given.
+/// The rotation of a versor, of which the vector part is given; one that is too long is shortened,
+/// as in itk::VersorRigid3DTransform and the classes derived from it.
 fn versor(v: &[f64]) -> DMat3 {
-    let v = vec3(v);
+    let (v, length) = (vec3(v), vec3(v).length());
+    if length >= 1.0 - VERSOR_TOLERANCE {
+        rotation(v / (length * (1.0 + VERSOR_TOLERANCE)))
+    } else {
+        rotation(v)
+    }
+}
+
+/// The rotation of a versor's vector part of at most the length 1.
+fn rotation(v: DVec3) -> DMat3 {
     DMat3::from_quat(DQuat::from_xyzw(
         v.x,
         v.y,
@@ -186,7 +216,15 @@ fn affine(path: &Path, entry: &ItkTransform) -> Result<DAffine3> {
             let zyx = f.get(3).is_some_and(|&v| v != 0.0);
             about(euler(p, zyx), vec3(&p[3..]), vec3(&p[6..]))
         }
-        "VersorTransform" => about(versor(p), vec3(f), DVec3::ZERO),
+        "VersorTransform" => {
+            if vec3(p).length() > 1.0 + VERSOR_TOLERANCE {
+                return Err(Error::file(
+                    path,
+                    "has a VersorTransform whose versor is longer than 1, which ITK refuses; normalise it",
+                ));
+            }
+            about(rotation(vec3(p)), vec3(f), DVec3::ZERO)
+        }
         "VersorRigid3DTransform" => about(versor(p), vec3(f), vec3(&p[3..])),
         "Similarity3DTransform" => about(versor(p) * p[6], vec3(f), vec3(&p[3..])),
         "QuaternionRigidTransform" => about(quaternion(p), vec3(f), vec3(&p[4..])),

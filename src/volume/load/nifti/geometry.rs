@@ -1,11 +1,12 @@
 //! The geometry of a NIfTI or Analyze file, in LPS.
 
+use super::super::ReadOptions;
 use super::super::source;
 use super::header::{Header, Version};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// World (LPS, mm) from voxel; `size` is the number of voxels along the axes.
-pub(super) fn geometry(header: &mut Header, size: [usize; 3]) -> DAffine3 {
+pub(super) fn geometry(header: &mut Header, size: [usize; 3], choice: &ReadOptions) -> DAffine3 {
     let units = if header.version == Version::Two {
         header.field::<4>(500)[0]
     } else {
@@ -17,6 +18,13 @@ pub(super) fn geometry(header: &mut Header, size: [usize; 3]) -> DAffine3 {
         _ => 1.0,
     };
     let (spacing, notices) = spacing(header);
+    // A picture's thickness may not be stated, whatever its matrix holds.
+    let rank = header.integer(40, 16, 8);
+    let stated = [0, 1, 2].map(|axis| {
+        let length = header.pixdim(axis + 1);
+        (axis as i64) < rank || length.is_finite() && length != 0.0
+    });
+    header.warnings.extend(choice.spacing_notice(stated));
     let lps_from_ras = DAffine3::from_scale(DVec3::new(-1.0, -1.0, 1.0) * mm);
     if header.version == Version::Analyze {
         header.warnings.extend(notices);

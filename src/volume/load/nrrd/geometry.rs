@@ -1,5 +1,6 @@
 //! The geometry of an NRRD file: the grid and the axes of its vectors, in LPS.
 
+use super::super::ReadOptions;
 use super::super::source::usable;
 use super::header::{vector, words};
 use glam::{DAffine3, DMat3, DVec3};
@@ -10,29 +11,59 @@ pub(super) fn geometry(
     fields: &HashMap<String, String>,
     spatial: &[usize],
     axes: usize,
+    choice: &ReadOptions,
     warnings: &mut Vec<String>,
 ) -> Result<(DAffine3, DMat3), String> {
     let lps_from_space = lps_from_space(fields, warnings);
-    let (linear, origin) = match fields.get("space directions") {
-        Some(directions) => (oriented_axes(directions, spatial)?, DVec3::ZERO),
+    let in_space = fields.contains_key("space") || fields.contains_key("space dimension");
+    let grid = match fields.get("space directions") {
+        Some(directions) => AxisSteps {
+            linear: oriented_axes(directions, spatial)?,
+            origin: None,
+            stated: [0, 1, 2].map(|n| n < spatial.len()),
+        },
         None => {
-            let (mut linear, origin) = axis_vectors_and_origin(fields, spatial);
-            scale_by_spacings(&mut linear, fields, spatial, axes)?;
-            (linear, origin)
+            if in_space {
+                warnings.push("has a space but no space directions; axes along it are assumed".into());
+            }
+            axis_steps(fields, spatial, axes, warnings)?
         }
     };
-    let origin = fields
-        .get("space origin")
-        .map_or(Some(origin), |o| vector(o))
-        .ok_or("has a space origin that cannot be read")?;
+    warnings.extend(choice.spacing_notice(grid.stated));
+    let origin = match fields.get("space origin") {
+        None => None,
+        Some(text) => {
+            let stated = vector(text).ok_or("has a space origin that cannot be read")?;
+            // Only numbers throughout, or none, are valid.
+            if !stated.is_finite() && !stated.is_nan_mask().all() {
+                return Err(format!(
+                    "has the space origin {text}, which is not finite; correct it"
+                ));
+            }
+            Some(stated).filter(|o| o.is_finite())
+        }
+    };
+    let origin = origin.or(grid.origin);
+    if origin.is_none() && (in_space || fields.contains_key("space directions")) {
+        warnings.push("has no space origin; its first voxel is placed at the origin".into());
+    }
     let affine = DAffine3 {
-        matrix3: lps_from_space * linear,
-        translation: lps_from_space * origin,
+        matrix3: lps_from_space * grid.linear,
+        translation: lps_from_space * origin.unwrap_or(DVec3::ZERO),
     };
     if !usable(&affine) {
         return Err("has singular space directions; its geometry cannot be used".into());
     }
     Ok((affine, lps_from_space * measurement_frame(fields)?))
+}
+
+/// The steps between voxels, mm.
+struct AxisSteps {
+    linear: DMat3,
+    /// The position of the first voxel, if stated.
+    origin: Option<DVec3>,
+    /// Whether the length of each step is stated.
+    stated: [bool; 3],
 }
 
 /// World (LPS, mm) from the space of the file, given by `space` and `space units`.
@@ -46,7 +77,6 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
         Some("left-anterior-superior" | "las" | "left-anterior-superior-time" | "last") => {
             DVec3::new(1.0, -1.0, 1.0)
         }
-        Some("3d-right-handed" | "scanner-xyz" | "3d-right-handed-time" | "scanner-xyz-time") => DVec3::ONE,
         Some(other) => {
             warnings.push(format!(
                 "its space \"{other}\" is not a patient space; left, posterior, superior axes are assumed"
@@ -54,9 +84,7 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
             DVec3::ONE
         }
         None => {
-            if !fields.contains_key("space dimension") {
-                warnings.push("has no orientation; left, posterior, superior axes are assumed".into());
-            }
+            warnings.push("has no orientation; left, posterior, superior axes are assumed".into());
             DVec3::ONE
         }
     };
@@ -66,6 +94,7 @@ fn lps_from_space(fields: &HashMap<String, String>, warnings: &mut Vec<String>) 
             .map(|w| mm_of(w.trim_matches('"')))
             .collect::<Vec<_>>()
     });
+    warnings.extend(unit_notice(fields.get("space units"), [0, 1, 2]));
     let mm = DVec3::from_array(std::array::from_fn(|a| {
         units
             .as_ref()
@@ -97,80 +126,90 @@ fn oriented_axes(directions: &str, spatial: &[usize]) -> Result<DMat3, String> {
     Ok(linear)
 }
 
-/// The steps between voxels from `axis mins` and `axis maxs` (1 without them or with `spacings`),
-/// and the first voxel's position from `axis mins`, mm.
-fn axis_vectors_and_origin(fields: &HashMap<String, String>, spatial: &[usize]) -> (DMat3, DVec3) {
-    let (mut linear, mut origin) = (DMat3::IDENTITY, DVec3::ZERO);
-    let numbers = |name: &str| {
-        fields.get(name).map(|t| {
-            t.split_whitespace()
-                .map(|w| w.parse().unwrap_or(f64::NAN))
-                .collect::<Vec<f64>>()
-        })
-    };
-    let unit = |axis: usize| unit_mm(fields, axis);
-    let cell = |axis: usize| {
-        fields
-            .get("centerings")
-            .is_some_and(|c| c.split_whitespace().nth(axis) == Some("cell"))
-    };
-    let (mins, maxs, sizes) = (
-        numbers("axis mins"),
-        numbers("axis maxs"),
-        numbers("sizes").unwrap_or_default(),
-    );
-    for (n, &axis) in spatial.iter().enumerate() {
-        let min = mins
-            .as_ref()
-            .and_then(|m| m.get(axis))
-            .copied()
-            .filter(|v| v.is_finite());
-        let max = maxs
-            .as_ref()
-            .and_then(|m| m.get(axis))
-            .copied()
-            .filter(|v| v.is_finite());
-        if let (Some(min), Some(max), Some(&size)) = (min, max, sizes.get(axis))
-            && !fields.contains_key("spacings")
-        {
-            let steps = if cell(axis) { size } else { size - 1.0 };
-            if steps >= 1.0 && max != min {
-                *linear.col_mut(n) *= (max - min) / steps * unit(axis);
-            }
-        }
-        let shift = if cell(axis) { 0.5 } else { 0.0 };
-        let spacing = numbers("spacings")
-            .and_then(|s| s.get(axis).copied())
-            .filter(|s| s.is_finite())
-            .unwrap_or(linear.col(n)[n] / unit(axis));
-        origin[n] = min.map_or(0.0, |m| (m + shift * spacing) * unit(axis));
-    }
-    (linear, origin)
-}
-
-/// Multiplies the axes by `spacings`, if given, converted to mm.
-fn scale_by_spacings(
-    linear: &mut DMat3,
+/// The steps between voxels from `spacings`, else from `axis mins` and `axis maxs`, else from
+/// `thicknesses`, and the first voxel's position from `axis mins`. Without `centerings` the latter
+/// are edges of voxels, as teem assumes (nrrdDefaultCenter).
+fn axis_steps(
     fields: &HashMap<String, String>,
     spatial: &[usize],
     axes: usize,
-) -> Result<(), String> {
-    let Some(spacings) = fields.get("spacings") else {
-        return Ok(());
+    warnings: &mut Vec<String>,
+) -> Result<AxisSteps, String> {
+    let numbers = |name: &str| -> Vec<f64> {
+        fields.get(name).map_or(Vec::new(), |t| {
+            t.split_whitespace()
+                .map(|w| w.parse().unwrap_or(f64::NAN))
+                .collect()
+        })
     };
-    let all: Vec<f64> = spacings
-        .split_whitespace()
-        .map(|w| w.parse().unwrap_or(f64::NAN))
-        .collect();
-    if all.len() != axes {
-        return Err(format!("has the spacings \"{spacings}\" for {axes} axes"));
+    let finite = |list: &[f64], axis: usize| list.get(axis).copied().filter(|v| v.is_finite());
+    let (mins, maxs, sizes) = (numbers("axis mins"), numbers("axis maxs"), numbers("sizes"));
+    let (spacings, thicknesses) = (numbers("spacings"), numbers("thicknesses"));
+    if let Some(text) = fields.get("spacings")
+        && spacings.len() != axes
+    {
+        return Err(format!("has the spacings \"{text}\" for {axes} axes"));
     }
+    let mut steps = AxisSteps {
+        linear: DMat3::IDENTITY,
+        origin: spatial
+            .iter()
+            .any(|&axis| finite(&mins, axis).is_some())
+            .then_some(DVec3::ZERO),
+        stated: [false; 3],
+    };
+    let mut is_centering_assumed = false;
     for (n, &axis) in spatial.iter().enumerate() {
-        if all[axis].is_finite() && all[axis] != 0.0 {
-            *linear.col_mut(n) *= all[axis] * unit_mm(fields, axis);
+        let centering = fields
+            .get("centerings")
+            .and_then(|c| c.split_whitespace().nth(axis));
+        let is_cell = centering != Some("node");
+        let (min, max) = (finite(&mins, axis), finite(&maxs, axis));
+        let of_extent = || {
+            let steps = finite(&sizes, axis)? - if is_cell { 0.0 } else { 1.0 };
+            let length = max? - min?;
+            (steps >= 1.0 && length != 0.0).then_some(length / steps)
+        };
+        let of_thickness = || finite(&thicknesses, axis).filter(|t| *t > 0.0);
+        let spacing = finite(&spacings, axis).filter(|s| *s != 0.0).or_else(of_extent);
+        if let (None, Some(thickness)) = (spacing, of_thickness()) {
+            warnings.push(format!(
+                "states no spacing along {} but a thickness of {thickness}, which is used",
+                ["i", "j", "k"][n]
+            ));
+        }
+        let spacing = spacing.or_else(of_thickness);
+        let unit = unit_mm(fields, axis);
+        *steps.linear.col_mut(n) *= spacing.map_or(1.0, |s| s * unit);
+        steps.stated[n] = spacing.is_some();
+        if let (Some(origin), Some(min)) = (&mut steps.origin, min) {
+            origin[n] = min * unit
+                + if is_cell {
+                    0.5 * steps.linear.col(n)[n]
+                } else {
+                    0.0
+                };
+            is_centering_assumed |= !matches!(centering, Some("cell" | "node"));
         }
     }
-    Ok(())
+    if is_centering_assumed {
+        warnings.push("does not state whether its axis mins are centres or edges of voxels (centerings); edges are assumed, as in teem".into());
+    }
+    warnings.extend(unit_notice(fields.get("units"), spatial.iter().copied()));
+    Ok(steps)
+}
+
+/// A notice about a unit, of these axes or coordinates, that is no length.
+fn unit_notice(units: Option<&String>, axes: impl IntoIterator<Item = usize>) -> Option<String> {
+    let units = words(units?);
+    let unit = axes
+        .into_iter()
+        .filter_map(|axis| units.get(axis))
+        .map(|unit| unit.trim_matches('"'))
+        .find(|unit| !matches!(*unit, "" | "???" | "none") && mm_of(unit).is_none())?;
+    Some(format!(
+        "states its spacing in \"{unit}\", which is no length; mm is assumed"
+    ))
 }
 
 /// The axes of vector values in the space of the file, from `measurement frame`.

@@ -17,6 +17,9 @@ use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+/// Maximum number of unnamed values that a notice lists.
+const MAX_UNNAMED: usize = 8;
+
 /// A segment as its keys describe it.
 pub(super) struct Segment {
     layer: Option<usize>,
@@ -229,6 +232,7 @@ fn describe(
     let layers = image.components;
     let mut changed = Vec::new();
     let mut labels = BTreeMap::new();
+    let named: BTreeSet<(usize, u32)> = placed.iter().map(|(layer, l)| (*layer, l.value)).collect();
     for (layer, label) in placed {
         let Some(&value) = renumbered.get(&(layer, label.value)) else {
             continue;
@@ -242,6 +246,15 @@ fn describe(
             ));
         }
         labels.entry(value).or_insert(Label { value, ..label });
+    }
+    let unnamed: Vec<String> = renumbered
+        .iter()
+        .filter(|(key, to)| key.1 != **to && !named.contains(key))
+        .map(|((layer, from), to)| format!("an unnamed one (layer {}) from {from} to {to}", layer + 1))
+        .collect();
+    changed.extend(unnamed.iter().take(MAX_UNNAMED).cloned());
+    if unnamed.len() > MAX_UNNAMED {
+        changed.push(format!("{} further unnamed ones", unnamed.len() - MAX_UNNAMED));
     }
     image.warnings.push(format!(
         "is a segmentation in {layers} layers, combined into one label map; use --channel (1 to {layers}) to see one layer as stored"

@@ -47,13 +47,25 @@ pub(super) fn described(file: &mut TiffReader, directories: &[Directory]) -> Res
     })
 }
 
-/// OME-XML, in the file or in the one that it names.
+/// OME-XML, in the file or in the one that it names: a file of its own, or another TIFF.
 fn of_ome(file: &TiffReader, text: &str) -> Result<Description> {
     let Some(name) = ome::companion(text) else {
         return Ok(ome::parse(text));
     };
     let path = sibling_file(&file.path, &name)?;
-    if path.is_file() {
+    let is_file = path.is_file();
+    if is_file && TiffReader::is_tiff(&path)? {
+        let (mut other, directories) = TiffReader::open(&path)?;
+        let first = directories.first().map(|d| other.text(d, tag::DESCRIPTION));
+        let mut metadata = ome::parse(&first.transpose()?.unwrap_or_default());
+        // Planes without a file lie in the one that describes them.
+        for block in metadata.planes.iter_mut().filter(|b| b.file.is_none()) {
+            block.file = Some(name.clone());
+        }
+        (metadata.uuid, metadata.is_of_other_file) = (ome::parse(text).uuid, true);
+        return Ok(metadata);
+    }
+    if is_file {
         return Ok(ome::parse(&input::text(&path, MAX_XML_BYTES, "OME-XML")?));
     }
     let mut metadata = Description::new(DescriptionKind::Ome);

@@ -2,7 +2,7 @@
 //!
 //! Source: TIFF 6.0 section 2; the BigTIFF design of libtiff (offsets of 8 bytes, magic number 43).
 
-use super::super::source::{GZIPPED, open_file, read_error};
+use super::super::source::{GZIPPED, first_bytes, open_file, read_error};
 use crate::{Error, Result};
 use std::collections::HashSet;
 use std::fs::File;
@@ -40,6 +40,9 @@ pub(super) mod tag {
     pub const EXTRA_SAMPLES: u16 = 338;
     pub const SAMPLE_FORMAT: u16 = 339;
     pub const JPEG_TABLES: u16 = 347;
+    /// Slices of a page, and of a tile.
+    pub const IMAGE_DEPTH: u16 = 32997;
+    pub const TILE_DEPTH: u16 = 32998;
     pub const YCBCR_COEFFICIENTS: u16 = 529;
     pub const YCBCR_SUBSAMPLING: u16 = 530;
     pub const REFERENCE_BLACK_WHITE: u16 = 532;
@@ -49,7 +52,7 @@ pub(super) mod tag {
     pub const LSM: u16 = 34412;
 
     /// The tags that are used; others are not retained.
-    pub const USED: [u16; 34] = [
+    pub const USED: [u16; 36] = [
         NEW_SUBFILE_TYPE,
         SUBFILE_TYPE,
         WIDTH,
@@ -79,6 +82,8 @@ pub(super) mod tag {
         EXTRA_SAMPLES,
         SAMPLE_FORMAT,
         JPEG_TABLES,
+        IMAGE_DEPTH,
+        TILE_DEPTH,
         YCBCR_COEFFICIENTS,
         YCBCR_SUBSAMPLING,
         REFERENCE_BLACK_WHITE,
@@ -143,6 +148,14 @@ pub(super) struct TiffReader {
 }
 
 impl TiffReader {
+    /// Whether a file starts as a TIFF or BigTIFF does.
+    pub fn is_tiff(path: &Path) -> Result<bool> {
+        let start = first_bytes(path, 4)?;
+        Ok([b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"]
+            .iter()
+            .any(|magic| start == **magic))
+    }
+
     /// Opens a file and reads its directories.
     ///
     /// # Errors

@@ -47,6 +47,8 @@ pub(super) struct Description {
     /// UUID of the file, and the places of its planes; empty if they are in order.
     pub uuid: Option<String>,
     pub planes: Vec<PlaneBlock>,
+    /// Whether another TIFF holds the description.
+    pub is_of_other_file: bool,
     pub notices: Vec<String>,
     /// The resolution that is not used, as a sentence.
     pub unused_resolution: Option<String>,

@@ -94,6 +94,13 @@ impl PageFormat {
             (Some(w @ 1..=0xffff_ffff), Some(h @ 1..=0xffff_ffff)) => [w as usize, h as usize],
             _ => return Err(file.error("has a page without a width and a height; it is damaged")),
         };
+        for (tag, name) in [(tag::IMAGE_DEPTH, "ImageDepth"), (tag::TILE_DEPTH, "TileDepth")] {
+            if let Some(depth) = integer(file, tag)?.filter(|depth| *depth > 1) {
+                return Err(file.error(format!(
+                    "stores {depth} slices in a page ({name}), which cannot be read; save every slice as a page"
+                )));
+            }
+        }
         let samples = integer(file, tag::SAMPLES)?.unwrap_or(1);
         if !(1..=MAX_SAMPLES).contains(&samples) {
             return Err(file.error(format!(

@@ -153,7 +153,7 @@ fn placed_planes(
     let names: std::collections::BTreeSet<&String> =
         metadata.planes.iter().filter_map(|b| b.file.as_ref()).collect();
     // A file that was renamed is still the only one.
-    let is_single = names.len() <= 1;
+    let is_single = names.len() <= 1 && !metadata.is_of_other_file;
     for block in &metadata.planes {
         let is_own = block.file.is_none()
             || block.file == own_name

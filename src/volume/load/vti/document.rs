@@ -49,7 +49,8 @@ pub(super) struct VtiPiece {
 pub(super) struct VtiDocument {
     pub whole: [i64; 6],
     pub origin: DVec3,
-    pub spacing: DVec3,
+    /// Distance between points, if stated.
+    pub spacing: Option<DVec3>,
     pub direction: DMat3,
     pub directed: bool,
     pub big_endian: bool,
@@ -203,7 +204,7 @@ impl<'a> DocumentParser<'a> {
         let document = VtiDocument {
             whole: [0; 6],
             origin: DVec3::ZERO,
-            spacing: DVec3::ONE,
+            spacing: None,
             direction: DMat3::IDENTITY,
             directed: false,
             big_endian: false,
@@ -254,14 +255,14 @@ impl<'a> DocumentParser<'a> {
     fn image_data(&mut self, given: &HashMap<String, String>) -> Result<()> {
         self.document.whole = numbers(given.get("WholeExtent"))
             .ok_or_else(|| self.fail("has no readable WholeExtent".into()))?;
-        let vector = |name: &str, otherwise: DVec3| match given.get(name) {
-            None => Ok(otherwise),
+        let vector = |name: &str| match given.get(name) {
+            None => Ok(None),
             some => numbers::<f64, 3>(some)
-                .map(DVec3::from_array)
+                .map(|v| Some(DVec3::from_array(v)))
                 .ok_or_else(|| self.fail(format!("has a {name} that is not three numbers"))),
         };
-        let (origin, spacing) = (vector("Origin", DVec3::ZERO)?, vector("Spacing", DVec3::ONE)?);
-        (self.document.origin, self.document.spacing) = (origin, spacing);
+        let (origin, spacing) = (vector("Origin")?, vector("Spacing")?);
+        (self.document.origin, self.document.spacing) = (origin.unwrap_or(DVec3::ZERO), spacing);
         if given.contains_key("Direction") {
             let rows: [f64; 9] = numbers(given.get("Direction"))
                 .ok_or_else(|| self.fail("has a Direction that is not nine numbers".into()))?;

@@ -169,6 +169,17 @@ impl ImageGroup {
             folder = folder.join("0");
             own = attributes(&store, &folder)?;
         }
+        if let Some(images) = own["well"]["images"].as_array() {
+            let names: Vec<&str> = images.iter().filter_map(|i| i["path"].as_str()).take(8).collect();
+            return Err(Error::file(
+                path,
+                format!(
+                    "is a well of {} images; name one of the folders inside of it ({})",
+                    images.len(),
+                    names.join(", ")
+                ),
+            ));
+        }
         if own["plate"].is_object() || own["well"].is_object() {
             return Err(Error::file(
                 path,

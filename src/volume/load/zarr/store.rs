@@ -6,7 +6,7 @@
 use super::super::source::{DEFLATE_LIMIT, open_file};
 use crate::files::{input, inputs, reference};
 use crate::{Error, Result};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::BufReader;
@@ -165,7 +165,58 @@ impl Store {
                 (members.clone(), format!("/{key}"))
             }
         };
-        Array::open(storage, &inner).map_err(|e| fail(format!("holds an array that cannot be read ({e})")))
+        let unreadable = |e: String| fail(format!("holds an array that cannot be read ({e})"));
+        let three = self.json(&folder.join("zarr.json"))?;
+        let completed = completed(three.clone());
+        if self.is_file(&folder.join(".zarray")) || completed == three {
+            return Array::open(storage, &inner).map_err(|e| unreadable(e.to_string()));
+        }
+        let metadata = serde_json::from_value(completed).map_err(|e| unreadable(e.to_string()))?;
+        Array::new_with_metadata(storage, &inner, metadata).map_err(|e| unreadable(e.to_string()))
+    }
+}
+
+/// The metadata of an array in which the codecs of numcodecs state what they leave to its defaults.
+/// Its zstd is that of Zarr 3.
+fn completed(mut metadata: Value) -> Value {
+    if let Some(codecs) = metadata.get_mut("codecs") {
+        complete(codecs);
+    }
+    metadata
+}
+
+/// Completes a list of codecs, and of codecs within shards.
+fn complete(codecs: &mut Value) {
+    for codec in codecs.as_array_mut().map_or(&mut [][..], Vec::as_mut_slice) {
+        let Some(codec) = codec.as_object_mut() else {
+            continue;
+        };
+        let (defaults, name) = match codec.get("name").and_then(Value::as_str) {
+            Some("numcodecs.zlib") => (json!({ "level": 1 }), None),
+            Some("numcodecs.bz2") => (json!({ "level": 1 }), None),
+            Some("numcodecs.shuffle") => (json!({ "elementsize": 4 }), None),
+            Some("numcodecs.zstd") => (json!({ "level": 0, "checksum": false }), Some("zstd")),
+            Some("numcodecs.gzip") => (json!({ "level": 1 }), Some("gzip")),
+            _ => (json!({}), None),
+        };
+        if let Some(name) = name {
+            codec.insert("name".into(), name.into());
+        }
+        let Some(defaults) = defaults.as_object().filter(|d| !d.is_empty()) else {
+            if let Some(inner) = codec.get_mut("configuration").and_then(|c| c.get_mut("codecs")) {
+                complete(inner);
+            }
+            continue;
+        };
+        let stated = codec.entry("configuration").or_insert_with(|| json!({}));
+        if stated.is_null() {
+            *stated = json!({});
+        }
+        if let Some(stated) = stated.as_object_mut() {
+            for (key, value) in defaults {
+                stated.entry(key).or_insert_with(|| value.clone());
+            }
+        }
     }
 }
 
