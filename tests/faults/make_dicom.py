@@ -15,7 +15,7 @@ import sys
 
 from dicom_cases.base import Cases
 
-KINDS = ("un", "syntax", "characters", "grouping", "times", "frames", "made_up", "notices", "jpeg")
+KINDS = ("un", "syntax", "characters", "grouping", "times", "frames", "made_up", "notices", "jpeg", "apart")
 
 
 def main():

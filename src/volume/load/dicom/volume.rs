@@ -171,7 +171,8 @@ fn warn_of_unread(unread: &[(usize, String)], slices: &[&Frame], warnings: &mut 
         .get(*first)
         .and_then(|f| Some(f.position?.dot(normal(f))))
         .map_or(String::new(), |mm| {
-            format!(", the first at {} mm along the normal", length(mm))
+            let first = if unread.len() == 1 { "" } else { "the first " };
+            format!(", {first}at {} mm along the normal", length(mm))
         });
     warnings.push(match unread.len() {
         1 => format!("1 slice is missing because it cannot be read{at}; its place is left empty ({problem})"),
