@@ -51,11 +51,15 @@ impl<'a> Divider<'a> {
 
     /// The value of a frame's key.
     pub fn value(&self, frame: usize, key: usize) -> Option<&KeyValue> {
-        self.frames[frame]
-            .keys
-            .iter()
-            .find(|(k, _)| usize::from(*k) == key)
-            .map(|(_, v)| v)
+        let keys = &self.frames[frame].keys;
+        let found = keys.binary_search_by_key(&key, |(k, _)| usize::from(*k));
+        found.ok().map(|n| &keys[n].1)
+    }
+
+    /// Whether the value of a key is the same for all frames.
+    fn is_constant(&self, key: usize) -> bool {
+        let first = self.value(0, key);
+        (1..self.frames.len()).all(|n| self.value(n, key) == first)
     }
 
     /// Whether each group has at most one frame of each stack.
@@ -170,6 +174,9 @@ impl<'a> Divider<'a> {
     /// Divides groups by a key whose values part evenly spaced slices that overlap: volumes whose
     /// planes need not coincide.
     pub fn divide_overlapping(&mut self, key: usize) -> bool {
+        if self.is_constant(key) {
+            return false;
+        }
         let (ranks, distinct) = self.clear_ranks(key);
         if distinct < 2 || 2 * distinct > self.frames.len() {
             return false;
@@ -217,6 +224,9 @@ impl<'a> Divider<'a> {
     /// Divides groups by the values of a key, if these tell frames of a stack apart and are not
     /// more than frames of a stack.
     pub fn divide_by_values(&mut self, key: usize) -> bool {
+        if self.is_constant(key) {
+            return false;
+        }
         let missing: Vec<usize> = (0..self.frames.len())
             .filter(|n| self.value(*n, key).is_none())
             .collect();
