@@ -58,12 +58,12 @@ pub struct BakeArguments {
     /// used.
     #[arg(long)]
     enlarge: bool,
-    /// Fill value outside the deformed volume and in cuts; by default the volume's lowest value, in
-    /// DICOM pixel padding.
+    /// Fill value outside the deformed volume and in cuts; by default the volume's lowest value, or
+    /// for DICOM output the pixel padding value.
     #[arg(long, allow_hyphen_values = true)]
     fill: Option<f64>,
-    /// Copy patient and study from the source into DICOM output, and refer to the source; without
-    /// it, nothing about the patient is written.
+    /// Copy the patient and study attributes of the source into DICOM output, and reference the
+    /// source; without this option, nothing about the patient is written.
     #[arg(long)]
     patient: bool,
     /// No notices, no progress.

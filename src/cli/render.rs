@@ -26,8 +26,8 @@ pub struct RenderArguments {
     /// output.
     #[arg(short, long, value_name = "OUT.png")]
     output: PathBuf,
-    /// Copy patient and study from the volume's DICOM series into a .dcm picture; without it,
-    /// nothing about the patient is written.
+    /// Copy the patient and study attributes of the volume's DICOM series into a .dcm picture;
+    /// without this option, nothing about the patient is written.
     #[arg(long)]
     patient: bool,
     /// Where to compute.

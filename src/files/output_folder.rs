@@ -55,7 +55,7 @@ impl OutputFolder {
         } else if target.symlink_metadata().is_ok() {
             return Err(Error::file(
                 path,
-                "is a file; name a new folder for the slices, or a file with an ending",
+                "is a file; choose a new folder for the slices, or a file name with an extension",
             ));
         }
         if let Some(read) = inputs::name_of(&target) {

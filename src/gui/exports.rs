@@ -100,7 +100,7 @@ impl Workstation {
     pub fn choose_picture_file(&mut self, form: PictureForm) {
         self.files.open_dialog(
             FilePurpose::Picture(form),
-            "Export picture: .png, or .dcm",
+            "Export picture (.png or .dcm)",
             Some("picture.png"),
             &[],
         );
@@ -223,7 +223,7 @@ impl Workstation {
             ("Bake the displacement field", "field.nii.gz")
         } else {
             (
-                "Bake the deformed volume: a file, or a new folder of DICOM slices",
+                "Bake the deformed volume to a file or to a new folder of DICOM slices",
                 "deformed.nii.gz",
             )
         };

@@ -89,10 +89,10 @@ impl Format {
         }
         let problem = match self {
             Self::Nifti | Self::NiftiGz => {
-                "NIfTI states this in its sform alone; programs that use the qform or only the spacing show it straight"
+                "NIfTI states this in its sform alone; programs that use the qform or only the spacing show it without the shear"
             }
             Self::Nrrd | Self::Mha | Self::Vti => {
-                "programs that expect perpendicular axes, such as those built on ITK, refuse the file or show it straight"
+                "programs that expect perpendicular axes, such as those built on ITK, refuse the file or show it without the shear"
             }
         };
         Some(format!("its grid is sheared by {degrees:.1} degrees; {problem}"))

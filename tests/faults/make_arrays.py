@@ -357,7 +357,7 @@ def tiff_ome_imagej():
     path = ome("units-nm", volume("uint8"), "ZYX", PhysicalSizeXUnit="nm", PhysicalSizeYUnit="nm", PhysicalSizeZUnit="nm")
     case(kind, "ome-units-nm", relative(path), "OME 6", tifffile.imread(path), spacing_mm=[0.5e-6, 0.25e-6, 2e-6])
     path = ome("units-pixel", volume("uint8"), "ZYX", PhysicalSizeXUnit="pixel", PhysicalSizeYUnit="pixel", PhysicalSizeZUnit="pixel")
-    case(kind, "ome-units-pixel", relative(path), "OME 6", tifffile.imread(path), warns=["no length"])
+    case(kind, "ome-units-pixel", relative(path), "OME 6", tifffile.imread(path), warns=["not a length"])
     five = volume("uint16", (2, 3, 2, 6, 7), 60013)
     for axes in ("TZCYX", "TCZYX", "ZTCYX", "CZTYX"):
         path = ome(f"order-{axes.lower()}", five, axes, **units)
@@ -455,7 +455,7 @@ def tiff_ome_imagej():
 
     text = "ImageJ=1.53t\nimages=3\nslices=3\nunit=mm\nspacing=2.0\ncf=0\nc0=-32768\nc1=1\nvunit=Gray Value\n"
     path = tiff("imagej-calibrated.tif", stack, description=text, resolution=(1, 1), software=False)
-    case(kind, "imagej-calibrated", relative(path), "ImageJ's calibration", stack - 32768.0, warns=["calibration of ImageJ"])
+    case(kind, "imagej-calibrated", relative(path), "ImageJ's calibration", stack - 32768.0, warns=["ImageJ calibration"])
     text = "ImageJ=1.53t\nimages=3\nslices=3\nunit=mm\nspacing=3.0\nloop=false\n"
     path = single_directory("imagej-large.tif", stack, text, byteorder=">")
     case(kind, "imagej-large", relative(path), "tifffile", tifffile.imread(path))
@@ -613,7 +613,7 @@ def zarr_axes():
     path = zarr_array("units-none.zarr", data, "zyx", scale=[2.0, 0.25, 0.5], unit=None)
     case(kind, "no-unit", relative(path), "OME-NGFF 0.4", read, spacing_mm=[0.5, 0.25, 2.0], warns=["without a unit"])
     path = zarr_array("units-pixel.zarr", data, "zyx", scale=[2.0, 0.25, 0.5], unit="pixel")
-    case(kind, "unit-pixel", relative(path), "OME-NGFF 0.4", read, warns=["no length"])
+    case(kind, "unit-pixel", relative(path), "OME-NGFF 0.4", read, warns=["not a length"])
     path = zarr_array("twice.zarr", data, "zyx", scale=[2.0, 0.25, 0.5], attributes={"translation": [10.0, 20.0, 30.0], "multiscale": {"coordinateTransformations": [{"type": "scale", "scale": [2.0, 2.0, 2.0]}]}})
     case(kind, "scale-twice", relative(path), "OME-NGFF 0.4", read, spacing_mm=[1.0, 0.5, 4.0], origin_mm=[60.0, 40.0, 20.0])
 

@@ -41,7 +41,7 @@ pub(super) fn read(path: &Path, name: &str, text: &str, context: &TransformConte
                 Some("fsl") => fsl(path, m, context),
                 Some(other) if other != "fsl-absolute" => Err(Error::value(
                     "convention",
-                    format!("\"{other}\" is not known; lps, ras or fsl for a matrix"),
+                    format!("\"{other}\" is not a known convention for a matrix; use lps, ras or fsl"),
                 )),
                 _ if by_mrtrix => Ok(Transform::affine(flip * m * flip)),
                 _ if v.len() == 12 => Ok(Transform::affine(m)),
@@ -50,7 +50,7 @@ pub(super) fn read(path: &Path, name: &str, text: &str, context: &TransformConte
         }
         Some(v) if v.len() == 16 => Err(Error::file(
             path,
-            "holds a 4 x 4 matrix whose last row is not 0 0 0 1; it is no affine transform",
+            "holds a 4 x 4 matrix whose last row is not 0 0 0 1; it is not an affine transform",
         )),
         Some(v) if v.len() > 12 && v.len() % 12 == 0 => Err(Error::file(
             path,
@@ -170,7 +170,7 @@ fn mni(path: &Path, text: &str) -> Result<Transform> {
             ("Transform_Type", "Linear") => inverted = false,
             ("Transform_Type", kind) => {
                 return Err(fail(format!(
-                    "holds a {kind} of MINC, which cannot be read; turn it into a displacement field as NIfTI"
+                    "holds a MINC {kind}, which cannot be read; convert it to a displacement field in NIfTI"
                 )));
             }
             ("Invert_Flag", flag) => inverted = flag.eq_ignore_ascii_case("true"),
@@ -281,7 +281,7 @@ fn lta(path: &Path, text: &str) -> Result<Transform> {
         }
         Some(other) => {
             return Err(fail(format!(
-                "is of type {other}; 0 (voxel to voxel) and 1 (RAS to RAS) can be read, convert it with lta_convert"
+                "is of type {other}; only types 0 (voxel to voxel) and 1 (RAS to RAS) can be read; convert it with lta_convert"
             )));
         }
         None => return Err(fail("does not state its type; it is damaged".into())),

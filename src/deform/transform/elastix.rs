@@ -54,7 +54,9 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Transform> {
     }
     Err(Error::file(
         &path,
-        format!("continues a chain of more than {MAX_FILES} transforms; do the files name each other?"),
+        format!(
+            "continues a chain of more than {MAX_FILES} transforms; check whether the files name each other in a loop"
+        ),
     ))
 }
 

@@ -241,7 +241,7 @@ impl GiftiArray {
             .external
             .as_deref()
             .ok_or("has an array in another file and does not name it")?;
-        let path = path.ok_or_else(|| format!("refers to the file {name}, which is not at hand"))?;
+        let path = path.ok_or_else(|| format!("refers to the file {name}, which cannot be located"))?;
         let file = reference::sibling_file(path, name);
         let bytes = file.and_then(|file| input::bytes(&file, super::MAX_BYTES, "array of a GIfTI"));
         // Both messages name the mesh's file.
@@ -255,7 +255,7 @@ impl GiftiArray {
             .map(<[u8]>::to_vec)
             .ok_or_else(|| {
                 format!(
-                    "refers to bytes {} to {end} of {name}, which has {}; copy it again",
+                    "refers to bytes {} to {end} of {name}, which has {} bytes; copy it again",
                     self.offset,
                     bytes.len()
                 )

@@ -59,7 +59,7 @@ impl MeshFileContents {
         }
         if fans > 0 {
             self.warnings.push(format!(
-                "{fans} faces that are not convex have more than {} corners and were divided as if they were; divide them in a modelling program",
+                "{fans} faces that are not convex have more than {} corners and were triangulated as if they were convex; triangulate them in a modelling program",
                 polygon::MAX_CORNERS
             ));
         }

@@ -74,7 +74,7 @@ fn corner(word: &str, vertices: usize) -> Result<u32, String> {
         Some(0) => return Err("vertices are counted from 1".into()),
         Some(n) if n > 0 => n - 1,
         Some(n) => vertices as i64 + n,
-        None => return Err("it is no vertex number".into()),
+        None => return Err("it is not a vertex number".into()),
     };
     u32::try_from(index)
         .map_err(|_| format!("it refers to a vertex that does not exist ({vertices} precede it)"))

@@ -136,9 +136,9 @@ fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, &[u8]), String> {
             }
             ["element", name, count] => elements.push(Element {
                 name: name.to_owned(),
-                count: count
-                    .parse()
-                    .map_err(|_| format!("declares \"{count}\" elements \"{name}\", which is no number"))?,
+                count: count.parse().map_err(|_| {
+                    format!("declares \"{count}\" elements \"{name}\", which is not a number")
+                })?,
                 properties: Vec::new(),
             }),
             ["property", ref property @ ..] => {
@@ -153,7 +153,7 @@ fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, &[u8]), String> {
             _ => {}
         }
     }
-    let form = form.ok_or("does not state the format of its data; it is no PLY that can be read")?;
+    let form = form.ok_or("does not state the format of its data; it cannot be read as PLY")?;
     Ok((form, elements, rest))
 }
 
@@ -222,7 +222,9 @@ impl Numbers<'_> {
             let count = self.next(count)?;
             // Every number takes a byte.
             if !(0.0..=self.rest.len() as f64).contains(&count) || count.fract() != 0.0 {
-                return Err(format!("has a list of {count} numbers, which it cannot hold"));
+                return Err(format!(
+                    "declares a list of {count} numbers, which it cannot hold"
+                ));
             }
             let wanted = CORNERS.contains(&property.name.as_str());
             for _ in 0..count as usize {

@@ -41,7 +41,7 @@ pub fn read(bytes: &[u8]) -> Result<MeshFileContents, String> {
             bytes.len() - HEADER - room * RECORD
         )
     } else {
-        format!("declares {declared} triangles and has room for {room}; those were read")
+        format!("declares {declared} triangles but holds {room}; all it holds were read")
     });
     Ok(listing)
 }

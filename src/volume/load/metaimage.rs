@@ -180,7 +180,7 @@ impl<'a> Header<'a> {
         }
         if !(1..=4).contains(&sizes.len()) {
             return Err(self.fail(format!(
-                "has {} axes; images of 1 to 3 axes and one of time can be read",
+                "has {} axes; images of 1 to 3 spatial axes, with or without a time axis, can be read",
                 sizes.len()
             )));
         }

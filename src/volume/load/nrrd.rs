@@ -308,7 +308,8 @@ fn axes_and_type(path: &Path, header: &Header, segmented: bool) -> Result<(Axes,
     let name = need("type")?;
     if name.eq_ignore_ascii_case("block") {
         return Err(fail(
-            "has the type \"block\", opaque blocks of bytes that are no numbers; they cannot be shown".into(),
+            "has the type \"block\", opaque blocks of bytes that are not numbers; they cannot be shown"
+                .into(),
         ));
     }
     let scalar =

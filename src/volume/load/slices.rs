@@ -333,7 +333,7 @@ fn values_of(decoded: DynamicImage, has_table: bool, notices: &mut Vec<String>) 
     use DynamicImage as D;
     let mut note_opacity = |is_used: bool| {
         if is_used {
-            notices.push("has an opacity (alpha) beside its grey values, which is left out".into());
+            notices.push("has an opacity (alpha) channel beside its grey values; it is left out".into());
         }
     };
     if has_table {

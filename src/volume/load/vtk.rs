@@ -287,7 +287,7 @@ impl Header {
                     ""
                 };
                 return Err(format!(
-                    "holds {kind}; structured points can be read as a volume{remedy}"
+                    "holds {kind}, which cannot be read as a volume; only structured points can{remedy}"
                 ));
             }
             Some("DIMENSIONS") => {

@@ -43,7 +43,9 @@ impl ItkTransform {
         );
         let length = vec3(self.parameters.get(..3).filter(|_| of_versor)?).length();
         (length > 1.0 + 1e-6).then(|| {
-            format!("has a versor of length {length:.4}, which is no rotation; it is normalised, as in ITK")
+            format!(
+                "has a versor of length {length:.4}, which is not a rotation; it is normalised, as in ITK"
+            )
         })
     }
 
@@ -275,7 +277,7 @@ fn quaternion(q: &[f64]) -> DMat3 {
 fn unsupported(path: &Path, name: &str, kind: &str) -> Error {
     let what = match name {
         _ if name.ends_with("KernelTransform") => ", splines through landmarks",
-        "AzimuthElevationToCartesianTransform" => ", which is no transform between images",
+        "AzimuthElevationToCartesianTransform" => ", which is not a transform between images",
         _ if name.contains("Velocity") || name.contains("Exponential") => ", a velocity field",
         "CompositeTransform" => " within another one",
         _ => "",

@@ -258,10 +258,10 @@ fn warn_of_frames(
     match series.certainty {
         Certainty::Certain => {}
         Certainty::ByInstance => warnings.push(
-            "holds slices at the same position that nothing but their instance numbers tells apart; a volume may mix them".into(),
+            "holds slices at the same position that differ only in instance number; they are divided by it, and a volume may mix times or echoes".into(),
         ),
         Certainty::Ambiguous => warnings.push(
-            "holds slices at the same position that no attribute tells apart; they are in the order of instance numbers and file names, and a volume may mix them".into(),
+            "holds slices at the same position that no attribute tells apart; they are ordered by instance number and file name, and a volume may mix times or echoes".into(),
         ),
     }
     if series.unplaced > 0 {
@@ -316,7 +316,7 @@ fn missing_part(series: &DicomSeries, objects: &[Object]) -> Option<String> {
         .into_values()
         .find(|(there, total)| (there.len() as u32) < *total)?;
     Some(format!(
-        "is {} of {total} parts of one image; the others are missing, or lie in other files",
+        "holds {} of the {total} parts of one image; the others are missing or in other files",
         there.len()
     ))
 }

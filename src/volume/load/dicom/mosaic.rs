@@ -51,7 +51,7 @@ impl Mosaic {
             .or_else(|| number(set, Tag(0x0019, 0x100a)))
             .filter(|n| (1.0..=4096.0).contains(n));
         let Some(slices) = slices.map(|n| n as usize) else {
-            return Err("is a mosaic that does not state its number of slices, which are shown side by side; export it as single slices or as enhanced MR".into());
+            return Err("is a mosaic that does not state its number of slices; its tiles are shown side by side in one slice (export it as single slices or as enhanced MR to see a volume)".into());
         };
         let across = (slices as f64).sqrt().ceil() as usize;
         let tile = [
@@ -60,7 +60,7 @@ impl Mosaic {
         ];
         if tile.contains(&0) {
             return Err(format!(
-                "is a mosaic of {slices} slices in {} x {} pixels, which are shown side by side; its header is damaged",
+                "is a mosaic of {slices} slices in {} x {} pixels, so its header is damaged; its tiles are shown side by side in one slice",
                 format.columns, format.rows
             ));
         }

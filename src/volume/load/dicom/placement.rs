@@ -154,7 +154,7 @@ fn warn_of_unstated(frames: &[&Frame], object: &Object, warnings: &mut Vec<Strin
     }
     if frame.at_detector {
         warnings.push(
-            "states its pixel spacing in the plane of the detector only; the patient is magnified there (use --spacing to set it)".into(),
+            "states its pixel spacing at the detector only, where the patient appears magnified; it is used uncorrected (use --spacing to set it)".into(),
         );
     }
     if !frame.stated[1] && frame.stated[0] {

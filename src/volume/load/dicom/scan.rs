@@ -89,13 +89,13 @@ pub fn scan(path: &Path, watch: &Watch) -> Result<ScanResult> {
     if let Some(first) = empty.first().filter(|_| !found.objects.is_empty()) {
         let name = first.file_name().unwrap_or_default().to_string_lossy();
         found.notes.push(match empty.len() {
-            1 => format!("{name} is empty or holds no DICOM in spite of its name, and is left out"),
-            n => format!("{n} files ({name} and others) are empty or hold no DICOM in spite of their names, and are left out"),
+            1 => format!("{name} is empty or is not DICOM despite its name; it is left out"),
+            n => format!("{n} files ({name} and others) are empty or are not DICOM despite their names; they are left out"),
         });
     }
     if same_name > 0 {
         found.notes.push(format!(
-            "{same_name} files have the SOP instance UID of another one but other positions, times or pixels; all of them are read"
+            "{same_name} files share the SOP instance UID of another file but differ from it in position, time or pixels; all are read"
         ));
     }
     Ok(found)

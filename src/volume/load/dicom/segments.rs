@@ -61,7 +61,7 @@ impl SegmentLabels {
     pub fn warning(&self) -> Option<String> {
         (!self.numbers.is_empty()).then(|| {
             format!(
-                "its files use the same segment numbers for different segments; {} of them have new numbers",
+                "its files use the same segment numbers for different segments; {} of these segments get new numbers",
                 self.numbers.len()
             )
         })

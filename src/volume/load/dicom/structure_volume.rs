@@ -175,7 +175,7 @@ fn image_grid(
     check_objects(path, objects, frames)?;
     if !is_referred_to {
         warnings.push(format!(
-            "refers to images that are not there; its structures are shown on another series in its frame of reference ({})",
+            "refers to images that are not there; its structures are shown on another series with the same frame of reference ({})",
             described(found, objects)
         ));
     }
@@ -187,11 +187,7 @@ fn image_grid(
         even,
         deviation_mm: [along, aside],
     } = placement(&refs, object, choice.resample, &mut notes);
-    warnings.extend(
-        notes
-            .into_iter()
-            .map(|n| format!("of the images it is drawn on: {n}")),
-    );
+    warnings.extend(notes.into_iter().map(|n| format!("images it is drawn on: {n}")));
     if !usable(&world_from_voxel) {
         return Ok(None);
     }
@@ -356,13 +352,16 @@ fn warn(map: &LabelMap, structures: &[Structure], warnings: &mut Vec<String>) {
     let empty = names(&|[all, _]| *all == 0);
     if !empty.is_empty() {
         warnings.push(format!(
-            "no voxel's centre is inside of {}, which lies outside of the image or between voxels",
+            "nothing is shown of {}: no voxel centre lies inside (outside the image, or between voxel centres)",
             named(&empty)
         ));
     }
     let hidden = names(&|[all, shown]| *all > 0 && *shown == 0);
     if !hidden.is_empty() {
-        warnings.push(format!("other structures cover all of {}", named(&hidden)));
+        warnings.push(format!(
+            "nothing is shown of {}: other structures cover it",
+            named(&hidden)
+        ));
     }
     if !map.gaps.is_empty() {
         warnings.push(format!(

@@ -2,7 +2,7 @@
 //! that differ, never by the names of files.
 //!
 //! First come the attributes that standards and scanners use for this ([`KEYS`]), then any other
-//! attribute that divides the frames into whole volumes, then the order of times, at last instance
+//! attribute that divides the frames into whole volumes, then their order in time, and last instance
 //! numbers, which are a guess.
 
 use super::divider::Divider;

@@ -68,7 +68,7 @@ impl DecodeJob<'_> {
         }
         if !self.has_one_scale() {
             warnings.push(if self.object().value_table.is_some() {
-                "has a modality look-up table, which is applied; values are stored as 32-bit floats".into()
+                "has a modality lookup table, which is applied; values are stored as 32-bit floats".into()
             } else {
                 "its slices have different rescale slopes, intercepts or padding values; values are stored as 32-bit floats".into()
             });
@@ -242,7 +242,7 @@ impl DecodeJob<'_> {
         };
         if let Some(held) = pixels::contradicting_color(object) {
             warnings.push(format!(
-                "is labelled {} but its JPEG pictures hold {held}; their colours are read as {held}",
+                "is labelled {} but its JPEG data declare {held}; its colours are read as {held}",
                 format.photometric
             ));
         }

@@ -121,7 +121,7 @@ pub fn volume(
     image.inverted = object.inverted;
     if image.inverted {
         warnings.push(format!(
-            "is meant to be shown inverted, high values dark ({}); its values are as stored",
+            "is meant to be shown inverted, with high values dark ({}); its values are read as stored",
             if format.photometric == "MONOCHROME1" {
                 "MONOCHROME1"
             } else {

@@ -135,7 +135,7 @@ fn qform(header: &mut Header, spacing: DVec3) -> Option<DAffine3> {
     let handedness = if header.pixdim(0) < 0.0 { -1.0 } else { 1.0 };
     if squares > 1.0 + 1e-5 {
         header.warnings.push(format!(
-            "its qform has a quaternion of length {:.4}, which is no rotation; it is normalised",
+            "its qform has a quaternion of length {:.4}, which is not a rotation; it is normalised",
             squares.sqrt()
         ));
     }

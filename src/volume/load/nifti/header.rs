@@ -66,7 +66,9 @@ impl Header {
             (_, 540) => (true, true),
             // Some writers leave the size out; the number of dimensions then shows the byte order.
             _ if matches!(&bytes[344..348], b"n+1\0" | b"ni1\0") => {
-                warnings.push(format!("states a header size of {size} instead of 348"));
+                warnings.push(format!(
+                    "states a header size of {size} instead of 348; it is read as NIfTI-1"
+                ));
                 (
                     false,
                     !(1..=7).contains(&i16::from_le_bytes([bytes[40], bytes[41]])),

@@ -24,7 +24,9 @@ pub(super) fn geometry(
         },
         None => {
             if in_space {
-                warnings.push("has a space but no space directions; axes along it are assumed".into());
+                warnings.push(
+                    "has a space but no space directions; axes aligned with the space are assumed".into(),
+                );
             }
             axis_steps(fields, spatial, axes, warnings)?
         }
@@ -208,7 +210,7 @@ fn unit_notice(units: Option<&String>, axes: impl IntoIterator<Item = usize>) ->
         .map(|unit| unit.trim_matches('"'))
         .find(|unit| !matches!(*unit, "" | "???" | "none") && mm_of(unit).is_none())?;
     Some(format!(
-        "states its spacing in \"{unit}\", which is no length; mm is assumed"
+        "states its spacing in \"{unit}\", which is not a length; mm is assumed"
     ))
 }
 

@@ -88,7 +88,7 @@ fn placed(segments: Vec<Segment>, layers: usize, warnings: &mut Vec<String>) -> 
         .collect();
     if assumed > 0 {
         warnings.push(format!(
-            "has {assumed} segments without a label value; values in the order of the segments are assumed"
+            "has {assumed} segments without a label value; they are numbered in the order of the segments"
         ));
     }
     placed

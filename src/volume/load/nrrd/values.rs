@@ -91,7 +91,7 @@ impl<'a> Data<'a> {
             }
             n => {
                 return Err(fail(format!(
-                    "has a byte skip of {n}, which is not allowed for values written as text or hex; state the bytes before them"
+                    "has a byte skip of {n}, which is not allowed for values written as text or hex; set it to the number of bytes before the values"
                 )));
             }
         };
@@ -181,7 +181,7 @@ impl<'a> Data<'a> {
                     Some(byte) => Err(Error::file(
                         path,
                         format!(
-                            "has \"{}\" among its values, which is no hexadecimal digit; it is damaged",
+                            "has \"{}\" among its values, which is not a hexadecimal digit; it is damaged",
                             char::from(byte).escape_default()
                         ),
                     )),

@@ -135,7 +135,7 @@ fn of_imagej(file: &mut TiffReader, directory: &Directory, text: &str) -> Result
     } else if lengths.iter().any(Option::is_some) {
         metadata.notices.push(match units[0].as_deref() {
             None | Some("") => "states its spacing without a unit; mm is assumed".into(),
-            Some(unit) => format!("states its spacing in \"{unit}\", which is no length; mm is assumed"),
+            Some(unit) => format!("states its spacing in \"{unit}\", which is not a length; mm is assumed"),
         });
     }
     for axis in 0..3 {
@@ -188,15 +188,15 @@ fn calibrate<'a>(metadata: &mut Description, get: &dyn Fn(&str) -> Option<&'a st
             if slope != 0.0 && (slope, intercept) != (1.0, 0.0) {
                 metadata.rescale = Some(Rescale { slope, intercept });
                 metadata.notices.push(format!(
-                    "has a calibration of ImageJ (value = {slope} x stored {} {}), which is applied",
+                    "has an ImageJ calibration (value = {slope} x stored {} {}), which is applied",
                     if intercept < 0.0 { '-' } else { '+' },
                     intercept.abs()
                 ));
             }
         }
-        Some(_) => metadata
-            .notices
-            .push("has a calibration of ImageJ that is no straight line; its stored values are read".into()),
+        Some(_) => metadata.notices.push(
+            "has an ImageJ calibration that is not a straight line; its values are read as stored".into(),
+        ),
         None => {}
     }
 }

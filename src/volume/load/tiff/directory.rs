@@ -315,7 +315,7 @@ impl TiffReader {
                     .map(|b| self.number_in(b))
                     .collect(),
             )),
-            _ => Err(self.error(format!("has a tag {tag} that is no integer; it is damaged"))),
+            _ => Err(self.error(format!("has a tag {tag} that is not an integer; it is damaged"))),
         }
     }
 

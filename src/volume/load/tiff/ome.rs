@@ -141,7 +141,7 @@ fn pixels(event: &BytesStart, metadata: &mut Description) {
         metadata.spacing[n] = mm_of(&unit).map(|mm| length * mm);
         if metadata.spacing[n].is_none() {
             metadata.notices.push(format!(
-                "states its spacing along {} in \"{unit}\", which is no length",
+                "states its spacing along {} in \"{unit}\", which is not a length",
                 axis.to_lowercase()
             ));
         }

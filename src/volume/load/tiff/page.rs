@@ -327,15 +327,15 @@ impl PageFormat {
                 note("stores CMYK; its colours are converted to RGB without a colour profile")
             }
             Photometric::ColorFilter => {
-                note("holds the pattern of a camera's colour filter (CFA), which is shown as grey");
+                note("holds raw camera values behind a colour filter array (CFA), which are shown as grey");
             }
             _ => {}
         }
         if self.samples > self.retained() && self.photometric != Photometric::Cmyk {
             note(if matches!(self.extra.first(), Some(1 | 2)) {
-                "has an opacity (alpha) beside its grey values, which is left out"
+                "has an opacity (alpha) channel beside its grey values; it is left out"
             } else {
-                "has a sample beside its colours whose meaning is not stated; it is left out"
+                "has an extra sample per pixel whose meaning is not stated; it is left out"
             });
         }
         match file.integer(directory, tag::ORIENTATION)? {

@@ -270,7 +270,7 @@ impl Pages<'_> {
         let (stack, left_out, opposite) = self.stacked(&wanted, &format)?;
         if opposite > 0 {
             metadata.notices.push(format!(
-                "in {opposite} pages black and white are the other way round than in the first; their values are read as they are"
+                "black and white are swapped in {opposite} pages compared with the first; all values are read as stored"
             ));
         }
         if left_out > 0 && channels > 1 {
@@ -354,7 +354,7 @@ pub(super) fn single_page(file: &mut TiffReader, directories: &[Directory]) -> R
         }
         _ => Err(Error::file(
             &file.path,
-            "has several pages and is one of several files; name one file, or give each a single page",
+            "has several pages, but several TIFF files form a volume only if each has one page; open one file, or save each page as a file",
         )),
     }
 }

@@ -87,7 +87,7 @@ impl AxisPositions {
         let unknown = units.flatten().find(|u| mm_of(u).is_none());
         match (unknown, missing) {
             (Some(unit), _) => Some(format!(
-                "states its spacing in \"{unit}\", which is no length; mm is assumed"
+                "states its spacing in \"{unit}\", which is not a length; mm is assumed"
             )),
             (None, true) => Some("states its spacing without a unit; mm is assumed".into()),
             (None, false) => None,

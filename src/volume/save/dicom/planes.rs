@@ -41,7 +41,7 @@ impl SlicePlanes {
         let step = m.z_axis.dot(normal);
         if step.abs() < MIN_NORMAL_SHARE * m.z_axis.length() || step == 0.0 {
             return Err(
-                "the slices of the volume are almost parallel to the direction in which they follow each other; write .nii.gz or .nrrd instead"
+                "the direction in which the slices are stacked is almost parallel to the slices; write .nii.gz or .nrrd instead"
                     .into(),
             );
         }
