@@ -498,7 +498,7 @@ pub fn label_maps_become_segmentations() {
     for (n, (to_world, labels)) in grids.into_iter().enumerate() {
         let index = |n: usize| match n / 15 {
             1 => 1 + n % 2,
-            3 => 3 * usize::from(n % 4 == 0),
+            3 => 3 * usize::from(n.is_multiple_of(4)),
             _ => 0,
         };
         let values: Vec<u32> = (0..90)

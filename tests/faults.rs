@@ -337,7 +337,7 @@ impl Problems<'_> {
         };
         self.equal("triangles", mesh.triangles.len(), self.count("triangles"));
         self.equal("vertices", mesh.positions.len(), self.count("vertices"));
-        self.all_near("volume_mm3", &[mesh.topology().volume.into()], [1e-4, 1e-6]);
+        self.all_near("volume_mm3", &[mesh.topology().volume], [1e-4, 1e-6]);
         self.notices(&mesh.warnings);
         self.distances(mesh);
     }

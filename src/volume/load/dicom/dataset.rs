@@ -45,8 +45,8 @@ fn bare_dataset(start: &[u8]) -> bool {
         return false;
     }
     if start[..4] == [0; 4] {
-        return start[4..8] == [4, 0, 0, 0] && start[12..14] == [0, 0]
-            || start[4..8] == *b"UL\x04\0" && start[12..14] == [0, 0];
+        let is_length = start[4..8] == [4, 0, 0, 0] || start[4..8] == *b"UL\x04\0";
+        return is_length && start[12..14] == [0, 0];
     }
     let vr = start[4..6].iter().all(u8::is_ascii_uppercase);
     if start[..2] == [0, 8] {

@@ -182,8 +182,8 @@ impl<'a> Divider<'a> {
             return false;
         }
         let mut parts: BTreeMap<(usize, usize), BTreeSet<usize>> = BTreeMap::new();
-        for n in 0..self.frames.len() {
-            parts.entry((self.group[n], ranks[n])).or_default().insert(n);
+        for (n, rank) in ranks.iter().enumerate() {
+            parts.entry((self.group[n], *rank)).or_default().insert(n);
         }
         let positions: Vec<(usize, Vec<f64>)> = parts
             .iter()

@@ -187,7 +187,7 @@ mod tests {
         bits += "1";
         bits += "111";
         bits += "000000000001000000000001";
-        while bits.len() % 8 != 0 {
+        while !bits.len().is_multiple_of(8) {
             bits.push('0');
         }
         let bytes: Vec<u8> = (0..bits.len() / 8)
