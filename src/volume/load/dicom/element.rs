@@ -43,7 +43,12 @@ pub fn whole_number(set: &InMemDicomObject, tag: Tag) -> Option<u16> {
 
 /// The numbers of a private attribute, by its creator.
 pub fn private_numbers(set: &InMemDicomObject, group: u16, creator: &str, element: u16) -> Option<Vec<f64>> {
-    let block = (0x10..0x100u16).find(|block| text(set, Tag(group, *block)).starts_with(creator))?;
+    let is_creator = |tag: Tag| tag.0 == group && (0x10..0x100).contains(&tag.1);
+    let block = set
+        .iter()
+        .map(|e| e.header().tag)
+        .find(|tag| is_creator(*tag) && text(set, *tag).starts_with(creator))?
+        .1;
     numbers(set, Tag(group, block << 8 | element))
 }
 

@@ -8,7 +8,7 @@ use super::attributes::FrameAttributes;
 use super::element::{item, numbers, private_number, private_numbers, text, vector};
 use super::frame::{Digest, KeyValue};
 use dicom_core::Tag;
-use dicom_core::value::Value;
+use dicom_core::value::{PrimitiveValue, Value};
 use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -417,9 +417,11 @@ pub fn other_attributes(set: &InMemDicomObject) -> Vec<(Tag, Digest)> {
             let bytes = value.to_bytes();
             let mut hasher = DefaultHasher::new();
             bytes.hash(&mut hasher);
-            let order = value
-                .to_float64()
-                .unwrap_or_else(|_| first_number(&value.to_str()));
+            let order = match value {
+                PrimitiveValue::Str(text) => first_number(text),
+                PrimitiveValue::Strs(texts) => texts.first().map_or(0.0, |t| first_number(t)),
+                numbers => numbers.to_float64().unwrap_or(0.0),
+            };
             let digest = Digest {
                 hash: hasher.finish(),
                 order,

@@ -405,7 +405,12 @@ impl Selection<'_> {
     }
 
     /// Values in the order of storage, channel after channel.
-    fn values<S: Copy, T>(&self, array: &StoredArray, total: usize, convert: fn(S) -> T) -> Result<Vec<T>>
+    fn values<S: Copy, T>(
+        &self,
+        array: &StoredArray,
+        total: usize,
+        convert: impl Fn(S) -> T,
+    ) -> Result<Vec<T>>
     where
         Vec<S>: FromArrayBytes,
     {
@@ -424,7 +429,7 @@ impl Selection<'_> {
                     Error::file(self.path, format!("holds a chunk that cannot be read ({e})"))
                 })?;
                 let bytes = (part.len() * size_of::<T>()) as u64;
-                values.extend(part.into_iter().map(convert));
+                values.extend(part.into_iter().map(&convert));
                 meter.add(bytes)?;
             }
         }
