@@ -7,7 +7,7 @@
 //! class, and CT or MR would claim a modality that is not known.
 //!
 //! Nothing about a patient is written unless requested: neither name nor dates nor the UIDs of the
-//! source, which identify it in an archive. UIDs are derived from the content ([`uid`]), hence the
+//! source, which identify it in an archive. UIDs are derived from the content (`uid.rs`), hence the
 //! same content has the same UIDs.
 //!
 //! Source: DICOM PS3.3 (information objects), PS3.5 (encoding), PS3.10 (files).
