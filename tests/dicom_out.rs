@@ -2,6 +2,7 @@
 //! unless requested, and the same input gives the same bytes. `faults/check_dicom_out.py`
 //! checks the same output with pydicom, highdicom and SimpleITK.
 
+use crate::readers::{apart, incise};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use incise::Watch;
 use incise::deform::cut::CutShapes;
@@ -13,20 +14,27 @@ use incise::volume::save::dicom::Derivation;
 use incise::volume::{Label, Rescale, StoredValues, Volume, Voxels};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-fn incise(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_incise"))
-        .args(arguments)
-        .env_remove("DISPLAY")
-        .output()
-        .unwrap()
-}
+use std::process::Output;
 
 fn succeeds(arguments: &[&str]) -> Output {
     let output = incise(arguments);
     assert!(output.status.success(), "{arguments:?}: {}", message(&output));
     output
+}
+
+/// Renders a small picture on the CPU.
+fn renders(input: &str, size: &str, more: &[&str], output: &Path) {
+    let arguments = [
+        "render",
+        input,
+        "--size",
+        size,
+        "--backend",
+        "cpu",
+        "-o",
+        text(output),
+    ];
+    succeeds(&[&arguments[..], more].concat());
 }
 
 fn message(output: &Output) -> String {
@@ -112,16 +120,6 @@ fn written(folder: &Path, volume: &Volume) -> (Volume, Vec<String>) {
         })
         .unwrap_or_else(|e| panic!("{e}"));
     (read(folder), notices)
-}
-
-/// Largest distance of two affines at the corners of a grid, mm.
-fn apart(a: &DAffine3, b: &DAffine3, size: [usize; 3]) -> f64 {
-    (0..8)
-        .map(|n| {
-            let corner = DVec3::from_array(std::array::from_fn(|c| ((n >> c & 1) * (size[c] - 1)) as f64));
-            (a.transform_point3(corner) - b.transform_point3(corner)).length()
-        })
-        .fold(0.0, f64::max)
 }
 
 pub fn an_oblique_tilted_grid_comes_back() {
@@ -230,16 +228,7 @@ pub fn no_patient_without_the_option() {
         .collect();
     assert!(uids.len() > 2, "{uids:?}");
     succeeds(&["bake", text(&source), "-o", text(&at("plain"))]);
-    succeeds(&[
-        "render",
-        text(&source),
-        "--size",
-        "16x16",
-        "--backend",
-        "cpu",
-        "-o",
-        text(&at("plain.dcm")),
-    ]);
+    renders(text(&source), "16x16", &[], &at("plain.dcm"));
     let mut plain = files(&at("plain"));
     assert_eq!(plain.len(), files(&source).len());
     plain.insert("picture".into(), std::fs::read(at("plain.dcm")).unwrap());
@@ -252,17 +241,7 @@ pub fn no_patient_without_the_option() {
         }
     }
     succeeds(&["bake", text(&source), "--patient", "-o", text(&at("named"))]);
-    succeeds(&[
-        "render",
-        text(&source),
-        "--size",
-        "16x16",
-        "--backend",
-        "cpu",
-        "--patient",
-        "-o",
-        text(&at("named.dcm")),
-    ]);
+    renders(text(&source), "16x16", &["--patient"], &at("named.dcm"));
     let mut named = files(&at("named"));
     named.insert("picture".into(), std::fs::read(at("named.dcm")).unwrap());
     for (name, bytes) in &named {
@@ -315,16 +294,7 @@ pub fn the_same_input_gives_the_same_bytes() {
     assert_eq!(of_a.values().filter(|n| **n == 16).count(), 3, "{of_a:?}");
     assert!(of_a.keys().all(|uid| !of_c.contains_key(uid)));
     let render = |name: &str| {
-        succeeds(&[
-            "render",
-            "phantom:ball:size=16",
-            "--size",
-            "20x10",
-            "--backend",
-            "cpu",
-            "-o",
-            text(&at(name)),
-        ]);
+        renders("phantom:ball:size=16", "20x10", &[], &at(name));
         std::fs::read(at(name)).unwrap()
     };
     assert!(render("a.dcm") == render("b.dcm"));
@@ -335,16 +305,7 @@ pub fn a_picture_is_that_of_the_png() {
     let at = |name: &str| folder.path().join(name);
     // An odd number of bytes is padded.
     for name in ["p.png", "p.dcm"] {
-        succeeds(&[
-            "render",
-            "phantom:teddy:size=16",
-            "--size",
-            "33x21",
-            "--backend",
-            "cpu",
-            "-o",
-            text(&at(name)),
-        ]);
+        renders("phantom:teddy:size=16", "33x21", &[], &at(name));
     }
     let png = image::load_from_memory(&std::fs::read(at("p.png")).unwrap())
         .unwrap()

@@ -40,7 +40,7 @@ pub fn read(path: &Path, choice: &ReadOptions) -> incise::Result<Volume> {
     load::volume(path, choice, &Watch::NONE)
 }
 
-fn incise(arguments: &[&str]) -> Output {
+pub fn incise(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_incise"))
         .args(arguments)
         .env_remove("DISPLAY")
@@ -53,7 +53,7 @@ fn vector(v: &Value) -> DVec3 {
 }
 
 /// Largest distance between two affines at a grid's corners, mm.
-fn apart(a: &DAffine3, b: &DAffine3, size: [usize; 3]) -> f64 {
+pub fn apart(a: &DAffine3, b: &DAffine3, size: [usize; 3]) -> f64 {
     let corner = |n: usize| {
         DVec3::from_array(std::array::from_fn(|c| {
             if n >> c & 1 == 1 {

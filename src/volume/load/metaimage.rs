@@ -8,7 +8,7 @@ use super::ScalarType;
 use super::image::Image;
 use super::nrrd::numbered;
 use super::source::{
-    DEFLATE_LIMIT, ValueReader, buffered, check_held, count, read_error, sibling_file, skip, usable,
+    DEFLATE_LIMIT, ValueReader, buffered, check_held, count, divided, read_error, sibling_file, skip, usable,
 };
 use super::{ReadOptions, StoredValues};
 use crate::{Error, Result, Watch};
@@ -311,38 +311,16 @@ impl ValueLayout<'_> {
 
     /// Reads values divided evenly among several files.
     fn read_files(&self, files: &[PathBuf]) -> Result<StoredValues> {
-        let total = self
-            .count
-            .checked_mul(self.frames)
-            .filter(|n| n.is_multiple_of(files.len()));
-        let piece = total.map(|n| n / files.len()).ok_or_else(|| {
+        let total = self.count.checked_mul(self.frames).ok_or_else(|| {
             Error::file(
                 self.path,
-                format!(
-                    "names {} data files, which cannot hold equal parts of its values",
-                    files.len()
-                ),
+                "declares more values than can be addressed; its header is damaged",
             )
         })?;
-        let ([ahead, count], mut all) = (self.part(), None::<StoredValues>);
-        for (n, file) in files.iter().enumerate() {
-            // The part of the wanted values that this file holds.
-            let first = ahead.max(n * piece);
-            let end = (ahead + count).min((n + 1) * piece);
-            if first >= end {
-                continue;
-            }
-            let (reader, file_bytes) = buffered(file)?;
-            let values = self.read_file(file, reader, file_bytes, [first - n * piece, end - first], piece)?;
-            match &mut all {
-                None => all = Some(values),
-                Some(all) => {
-                    all.append(&values);
-                }
-            }
-            self.watch.check()?;
-        }
-        all.ok_or_else(|| Error::file(self.path, "names no data file with the values to read"))
+        let read = |file: &Path, reader, file_bytes, part, piece| {
+            self.read_file(file, reader, file_bytes, part, piece)
+        };
+        divided(self.path, files, total, self.part(), self.watch, read)
     }
 
     /// Reads `count` values after `ahead` others from one file of `whole` values: the image's own,

@@ -10,8 +10,9 @@ pub(super) use crate::files::memory::reserve as reserved;
 pub(super) use crate::files::reference::sibling_file;
 use crate::{ByteProgress, Error, Result, Watch};
 use glam::DAffine3;
-use std::io::{ErrorKind, Read};
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read};
+use std::path::{Path, PathBuf};
 
 /// Maximum compression ratio of bzip2: 900 kB of one byte take 46 bytes.
 pub(super) const BZIP2_LIMIT: u64 = 25_000;
@@ -195,4 +196,46 @@ pub(super) fn zeroed<T: RawScalar>(path: &Path, count: usize) -> Result<Vec<T>> 
     reserved::<T>(path, count)?;
     // Fresh zero pages, not written to.
     Ok(vec![T::default(); count])
+}
+
+/// Reads `[ahead, count]` of `total` values that are divided evenly among several files: skips values
+/// and reads values. `read` takes a file, its reader and length, what to skip and read of its
+/// values, and their number.
+pub(super) fn divided(
+    path: &Path,
+    files: &[PathBuf],
+    total: usize,
+    [ahead, count]: [usize; 2],
+    watch: &Watch,
+    read: impl Fn(&Path, BufReader<File>, u64, [usize; 2], usize) -> Result<StoredValues>,
+) -> Result<StoredValues> {
+    if !total.is_multiple_of(files.len()) {
+        return Err(Error::file(
+            path,
+            format!(
+                "names {} data files, which cannot hold equal parts of its {total} values",
+                files.len()
+            ),
+        ));
+    }
+    let piece = total / files.len();
+    let mut all: Option<StoredValues> = None;
+    for (n, file) in files.iter().enumerate() {
+        // The part of the wanted values that this file holds.
+        let first = ahead.max(n * piece);
+        let end = (ahead + count).min((n + 1) * piece);
+        if first >= end {
+            continue;
+        }
+        let (reader, file_bytes) = buffered(file)?;
+        let values = read(file, reader, file_bytes, [first - n * piece, end - first], piece)?;
+        match &mut all {
+            None => all = Some(values),
+            Some(all) => {
+                all.append(&values);
+            }
+        }
+        watch.check()?;
+    }
+    all.ok_or_else(|| Error::file(path, "names no data file with the values to read"))
 }

@@ -7,7 +7,7 @@
 use super::super::super::StoredValues;
 use super::super::ScalarType;
 use super::super::source::{
-    BZIP2_LIMIT, DEFLATE_LIMIT, ValueReader, buffered, check_end, check_held, read_error, skip,
+    BZIP2_LIMIT, DEFLATE_LIMIT, ValueReader, check_end, check_held, divided, read_error, skip,
 };
 use super::super::text;
 use super::header::{Header, required};
@@ -192,41 +192,10 @@ impl<'a> Data<'a> {
     }
 
     /// Reads values divided evenly among many files, each with its own skips.
-    pub fn read_pieces(
-        &self,
-        files: &[PathBuf],
-        total: usize,
-        [ahead, count]: [usize; 2],
-    ) -> Result<StoredValues> {
-        let piece = total / files.len();
-        if piece * files.len() != total {
-            return Err(Error::file(
-                self.path,
-                format!(
-                    "names {} data files, which cannot hold equal parts of its {total} values",
-                    files.len()
-                ),
-            ));
-        }
-        let mut all: Option<StoredValues> = None;
-        for (n, file) in files.iter().enumerate() {
-            // The part of the wanted values that this file holds.
-            let first = ahead.max(n * piece);
-            let end = (ahead + count).min((n + 1) * piece);
-            if first >= end {
-                continue;
-            }
-            let (reader, file_bytes) = buffered(file)?;
-            let values = self.read(file, reader, file_bytes, [first - n * piece, end - first], piece)?;
-            match &mut all {
-                None => all = Some(values),
-                Some(all) => {
-                    all.append(&values);
-                }
-            }
-            self.watch.check()?;
-        }
-        all.ok_or_else(|| Error::file(self.path, "names no data file with the values to read"))
+    pub fn read_pieces(&self, files: &[PathBuf], total: usize, part: [usize; 2]) -> Result<StoredValues> {
+        let read =
+            |file: &Path, reader, file_bytes, part, piece| self.read(file, reader, file_bytes, part, piece);
+        divided(self.path, files, total, part, self.watch, read)
     }
 
     /// Bytes from the first of `whole` values to the end, `after` bytes behind the last one.
