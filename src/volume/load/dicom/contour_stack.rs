@@ -126,6 +126,12 @@ impl Stack {
         self.at.windows(2).any(|w| w[1] - w[0] > spacing.bridge)
     }
 
+    /// Whether slices between contours are interpolated from them.
+    pub fn skips_slices(&self, spacing: Spacing) -> bool {
+        let bridged = |gap: f64| gap > 1.5 && gap <= spacing.bridge;
+        self.is_aligned() && self.at.windows(2).any(|w| bridged(w[1] - w[0]))
+    }
+
     /// The stack's extent in its frame, with the ends of the outermost planes.
     pub fn bounds(&self, spacing: Spacing) -> [DVec3; 2] {
         let ends = |plane: &ContourPlane| [plane.low, plane.high];

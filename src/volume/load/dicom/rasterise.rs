@@ -46,6 +46,8 @@ pub struct LabelMap {
     pub voxels: Vec<[usize; 2]>,
     /// Structures with gaps between their contours that are left open.
     pub gaps: Vec<usize>,
+    /// Structures with slices between contours, on which they are interpolated.
+    pub interpolated: Vec<usize>,
     /// Structures with contours that are left out, as they are drawn in too many directions.
     pub left_out: Vec<usize>,
 }
@@ -322,6 +324,7 @@ pub fn label_map(
         overlaps: 0,
         voxels: Vec::with_capacity(structures.len()),
         gaps: Vec::new(),
+        interpolated: Vec::new(),
         left_out: Vec::new(),
     };
     let mut stacks = Vec::with_capacity(structures.len());
@@ -347,6 +350,9 @@ pub fn label_map(
             let spacing = stack.spacing(usual);
             if stack.has_gap(spacing) && map.gaps.last() != Some(&n) {
                 map.gaps.push(n);
+            }
+            if stack.skips_slices(spacing) && map.interpolated.last() != Some(&n) {
+                map.interpolated.push(n);
             }
             runs.extend(grid.runs(stack, spacing, watch)?);
         }

@@ -363,6 +363,12 @@ fn warn(map: &LabelMap, structures: &[Structure], warnings: &mut Vec<String>) {
             named(&hidden)
         ));
     }
+    if !map.interpolated.is_empty() {
+        warnings.push(format!(
+            "has no contours on some slices within {}; they are interpolated from the contours before and after",
+            named(&numbered(&map.interpolated))
+        ));
+    }
     if !map.gaps.is_empty() {
         warnings.push(format!(
             "has slices without contours within {}; they are left empty",
