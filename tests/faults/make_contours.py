@@ -216,7 +216,8 @@ def voxels(labels):
     return {"values": values, "count": {str(n): int(c) for n, c in zip(numbers, counts)}}
 
 
-def simple(base, name, planes, expected_planes=None, peer=EVEN_ODD, grid=None, labels=None, **options):
+def simple(base, name, planes, expected_planes=None, peer=EVEN_ODD, grid=None, labels=None, warns=(),
+           **options):
     """A structure "organ" of rings by slice on a grid, opened as a file beside its images."""
     folder = common(base) if grid is None else Folder(base, name)
     if grid is None:
@@ -227,7 +228,7 @@ def simple(base, name, planes, expected_planes=None, peer=EVEN_ODD, grid=None, l
     mask = filled(planes if expected_planes is None else expected_planes)
     add(name, path, peer, size=list(SIZE), spacing_mm=grid.spacing.tolist(),
         origin_mm=grid.origin.tolist(), direction=grid.axes.tolist(), labels={"1": "organ"},
-        modality="RTSTRUCT", **voxels((mask if labels is None else labels).astype(int)))
+        modality="RTSTRUCT", warns=list(warns), **voxels((mask if labels is None else labels).astype(int)))
 
 
 def turned():
@@ -280,13 +281,14 @@ def make_between(base):
     shape = [circle(15.2, 13.1, 8.3)]
     half = "half a distance of planes beyond the outermost ones"
     simple(base, "every-second-slice", {k: shape for k in (2, 4, 6)},
-           {k: shape for k in range(1, 7)}, peer=f"a prism, {half}")
+           {k: shape for k in range(1, 7)}, peer=f"a prism, {half}", warns=["interpolated"])
     cone = {1: [circle(15.2, 13.1, 4.2, 720)], 4: [circle(15.2, 13.1, 7.2, 720)],
             7: [circle(15.2, 13.1, 10.2, 720)]}
     ends = {0: 4.2, 1: 4.2, 2: 5.2, 3: 6.2, 4: 7.2, 5: 8.2, 6: 9.2, 7: 10.2, 8: 10.2}
     simple(base, "every-third-slice-of-a-cone", cone,
            {k: [circle(15.2, 13.1, r, 720)] for k, r in ends.items()},
-           peer=f"closed form of a cone, {half}", grid=Grid(spacing=(1.5, 1.5, 3.0)))
+           peer=f"closed form of a cone, {half}", grid=Grid(spacing=(1.5, 1.5, 3.0)),
+           warns=["interpolated"])
     simple(base, "planes-between-the-slices", {k + 0.5: shape for k in range(2, 7)},
            {k: shape for k in range(2, 7)}, peer=f"a prism of five planes, {half}")
     simple(base, "planes-finer-than-the-slices", {k / 3: shape for k in range(6, 19)},
