@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReadOptions {
-    /// DICOM series to load: its number in `incise info` (from 1), its UID, or part of its
-    /// description. The largest by default.
+    /// DICOM series to load: its number in `incise info` (from 1), its UID, part of its
+    /// description, or its modality. The largest by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub series: Option<String>,
     /// Time point to load, counted from 1.

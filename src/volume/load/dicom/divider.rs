@@ -393,7 +393,7 @@ impl<'a> Divider<'a> {
     }
 
     /// Divides groups by instance number, else in the given order.
-    pub fn divide_anyhow(&mut self) {
+    pub fn divide_arbitrarily(&mut self) {
         let mut place = vec![0; self.frames.len()];
         for mut cell in self.cells().into_values() {
             cell.sort_by(|a, b| {

@@ -212,7 +212,7 @@ impl Parser<'_> {
                     length: (length != UNDEFINED).then_some(length),
                     big_endian: encoding.big_endian,
                 });
-                // The parser of values needs to know which of the elements there is.
+                // Its tag says whether pixels are floating-point.
                 set.put(DataElement::new(tag, vr, PrimitiveValue::Empty));
                 break;
             }

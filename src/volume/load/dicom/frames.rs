@@ -3,7 +3,7 @@
 use super::attributes::FrameAttributes;
 use super::element::{item, number};
 use super::frame::{Digest, Frame, PixelFormat};
-use super::increments::{Increments, SliceDistance};
+use super::increments::Increments;
 use super::mosaic::Mosaic;
 use super::time_keys::{keys_of, other_attributes, own_attributes};
 use crate::volume::Rescale;
@@ -34,7 +34,7 @@ pub fn frames(
     format: &PixelFormat,
     segmentation: bool,
     count: usize,
-    distance: SliceDistance,
+    increments: &Increments,
     mosaic: Option<&Mosaic>,
 ) -> Result<Vec<Frame>, String> {
     let shared = item(set, tags::SHARED_FUNCTIONAL_GROUPS_SEQUENCE);
@@ -42,7 +42,6 @@ pub fn frames(
         .get(tags::PER_FRAME_FUNCTIONAL_GROUPS_SEQUENCE)
         .and_then(|e| e.items())
         .unwrap_or(&[]);
-    let increments = Increments::of(set, count, distance);
     let detectors = set
         .get(tags::DETECTOR_INFORMATION_SEQUENCE)
         .and_then(|e| e.items())

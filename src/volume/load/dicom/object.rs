@@ -285,7 +285,8 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
         None
     });
     let distance = slice_distance(set);
-    let frames = frames(set, &format, segmentation, pictures, distance, mosaic.as_ref()).map_err(fail)?;
+    let increments = Increments::of(set, pictures, distance);
+    let frames = frames(set, &format, segmentation, pictures, &increments, mosaic.as_ref()).map_err(fail)?;
     Ok(Some(Object {
         instance: text(set, tags::SOP_INSTANCE_UID),
         segments_as: segments_as(set, &class),
@@ -313,7 +314,7 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
                     .map(|w| w.iter().any(|w| w == "LOCALIZER"))
             })
             .unwrap_or(false),
-        film: Increments::of(set, pictures, distance).time(1).is_some(),
+        film: increments.time(1).is_some(),
         reference: text(set, tags::FRAME_OF_REFERENCE_UID),
         units: [tags::DOSE_UNITS, tags::UNITS, tags::RESCALE_TYPE]
             .into_iter()

@@ -121,7 +121,7 @@ pub fn divide(frames: &[Frame], stack: &[usize], at: &[f64]) -> Division {
                 }
             }
             None => {
-                divider.divide_anyhow();
+                divider.divide_arbitrarily();
                 certainty = Certainty::Ambiguous;
             }
         }
