@@ -10,8 +10,8 @@ use clap::Args;
 /// Options that select the part of a volume's file to load.
 #[derive(Args, Clone, Debug)]
 pub struct VolumeArguments {
-    /// DICOM series to load: its number from incise info, its UID, part of its description, or its modality; the
-    /// largest by default.
+    /// DICOM series to load: its number from incise info, its UID, part of its description, or its
+    /// modality; the largest by default.
     #[arg(long, value_name = "N|UID|TEXT")]
     series: Option<String>,
     /// Time point to load, counted from 1.
