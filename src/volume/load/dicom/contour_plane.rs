@@ -136,6 +136,9 @@ impl ContourPlane {
     fn filled(&self, columns: &Range<usize>, rows: &Range<usize>) -> Vec<bool> {
         let width = columns.len();
         let mut inside = vec![false; width * rows.len()];
+        if inside.is_empty() {
+            return inside;
+        }
         for edge in &self.edges {
             // Rows with from.y <= row < to.y.
             let row = |y: f64| y.ceil().clamp(rows.start as f64, rows.end as f64) as usize;
@@ -148,7 +151,7 @@ impl ContourPlane {
                 }
             }
         }
-        for row in inside.chunks_exact_mut(width.max(1)) {
+        for row in inside.chunks_exact_mut(width) {
             let mut odd = false;
             for pixel in row {
                 odd ^= *pixel;
@@ -381,6 +384,15 @@ mod tests {
         runs.iter()
             .flat_map(|r| r.columns.clone().map(|i| [i, r.row]))
             .collect()
+    }
+
+    #[test]
+    fn a_window_without_columns_holds_nothing() {
+        let window = Window {
+            columns: 0..0,
+            rows: 0..48,
+        };
+        assert!(plane(&[ring([-20.0, 20.0], 10.0, 40)]).runs(&window).is_empty());
     }
 
     #[test]

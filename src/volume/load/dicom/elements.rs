@@ -312,7 +312,9 @@ impl Parser<'_> {
         }
         let value_end = self.position + u64::from(length);
         if meant == VR::SQ {
-            return self.items(inner, value_end, depth, characters);
+            let items = self.items(inner, value_end, depth, characters)?;
+            self.back_to(value_end)?;
+            return Ok(items);
         }
         if meant == VR::UN && length >= 8 {
             // A private sequence looks like one.

@@ -224,7 +224,7 @@ fn window(set: &InMemDicomObject) -> Option<[f64; 2]> {
 
 /// The modality look-up table: the first stored value mapped, and the entries (PS3.3 C.11.1.1).
 fn value_table(table: &InMemDicomObject, signed: bool) -> Option<(f64, Vec<f64>)> {
-    let [_, first, bits] = vector::<3>(table, tags::LUT_DESCRIPTOR)?;
+    let [count, first, bits] = vector::<3>(table, tags::LUT_DESCRIPTOR)?;
     let first = if signed && first > 32_767.0 {
         first - 65_536.0
     } else {
@@ -233,15 +233,13 @@ fn value_table(table: &InMemDicomObject, signed: bool) -> Option<(f64, Vec<f64>)
     let data = table.get(tags::LUT_DATA)?.value();
     let entries = match (numbers(table, tags::LUT_DATA), data.to_bytes()) {
         // Entries of 8 bits may be packed in words.
-        (_, Ok(bytes))
-            if bits <= 8.0 && bytes.len() < 2 * vector::<1>(table, tags::LUT_DESCRIPTOR)?[0] as usize =>
-        {
+        (_, Ok(bytes)) if bits <= 8.0 && (bytes.len() as f64) < 2.0 * count => {
             bytes.iter().map(|b| f64::from(*b)).collect()
         }
         (Some(words), _) => words,
         _ => return None,
     };
-    Some((first, entries))
+    (!entries.is_empty()).then_some((first, entries))
 }
 
 /// What the pixels of a segmentation mean, given its SOP class.
@@ -278,12 +276,20 @@ fn object_of(source: ObjectLocation, syntax: String, data: &DataSet) -> Result<O
     check_format(&format).map_err(fail)?;
     let class = text(set, tags::SOP_CLASS_UID);
     let segmentation = SEGMENTATION.contains(&class.as_str()) || text(set, tags::MODALITY) == "SEG";
+    if format.samples != 1 && (segmentation || format.photometric == "PALETTE COLOR") {
+        return Err(fail(format!(
+            "has {} samples per pixel where one is needed; export it again",
+            format.samples
+        )));
+    }
     let pictures = picture_count(set, max_frames(&source, &syntax, &format)).map_err(fail)?;
     let mut warnings = irregularities(set, &format, &pixels, pictures, &syntax);
-    let mosaic = Mosaic::of(set, &format).unwrap_or_else(|warning| {
-        warnings.push(warning);
-        None
-    });
+    let mosaic = Mosaic::of(set, &format)
+        .unwrap_or_else(|warning| {
+            warnings.push(warning);
+            None
+        })
+        .filter(|_| !segmentation);
     let distance = slice_distance(set);
     let increments = Increments::of(set, pictures, distance);
     let frames = frames(set, &format, segmentation, pictures, &increments, mosaic.as_ref()).map_err(fail)?;
@@ -453,7 +459,7 @@ fn segments(set: &InMemDicomObject) -> Vec<Label> {
     items
         .iter()
         .filter_map(|segment| {
-            let value = number(segment, tags::SEGMENT_NUMBER)? as u32;
+            let value = u32::from(whole_number(segment, tags::SEGMENT_NUMBER)?);
             let lab = vector::<3>(segment, tags::RECOMMENDED_DISPLAY_CIE_LAB_VALUE);
             Some(Label {
                 value,

@@ -47,7 +47,7 @@ fn channel(
     let entries = if entries == 0.0 {
         65_536
     } else {
-        entries.abs() as usize
+        (entries.abs() as usize).clamp(1, 65_536)
     };
     // The descriptor may have been read as unsigned.
     let first = if signed && first > 32_767.0 {

@@ -468,7 +468,7 @@ fn declared_color(compressed: &[u8]) -> Option<bool> {
 /// The colour space that an object's first JPEG picture declares, if the header contradicts it.
 pub fn contradicting_color(object: &Object) -> Option<&'static str> {
     // Lossless pictures hold what the header says.
-    if !JPEG[..2].contains(&object.syntax.as_str()) {
+    if !JPEG[..4].contains(&object.syntax.as_str()) {
         return None;
     }
     let Ok(Pixels::Packed(pictures)) = read(object) else {

@@ -30,6 +30,9 @@ pub fn length(mm: f64) -> String {
     }
 }
 
+/// Maximum factor by which resampling may increase the number of slices.
+const MAX_RESAMPLING_FACTOR: f64 = 16.0;
+
 /// The placement of a volume's slices.
 pub struct SlicePlacement {
     pub world_from_voxel: DAffine3,
@@ -39,6 +42,18 @@ pub struct SlicePlacement {
     /// Largest deviation of a slice from the even grid, along the normal and perpendicular to it,
     /// mm.
     pub deviation_mm: [f64; 2],
+}
+
+impl SlicePlacement {
+    /// The number of slices after resampling onto an even grid of the usual (median) gap.
+    pub fn resampled_count(&self) -> usize {
+        let last = self.at.len().saturating_sub(1) as f64;
+        let mut gaps: Vec<f64> = self.at.windows(2).map(|w| w[1] - w[0]).collect();
+        gaps.sort_by(f64::total_cmp);
+        let usual = gaps.get(gaps.len() / 2).copied().unwrap_or(1.0);
+        let step = usual.max(last / (MAX_RESAMPLING_FACTOR * self.at.len() as f64));
+        (last / step).round() as usize + 1
+    }
 }
 
 /// The spacing of slices along their normal, mm.

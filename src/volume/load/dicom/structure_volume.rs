@@ -181,12 +181,14 @@ fn image_grid(
     }
     let refs: Vec<&Frame> = frames.iter().collect();
     let mut notes = Vec::new();
+    let placed = placement(&refs, object, choice.resample, &mut notes);
+    let resampled_count = placed.resampled_count();
     let SlicePlacement {
         mut world_from_voxel,
         at,
         even,
         deviation_mm: [along, aside],
-    } = placement(&refs, object, choice.resample, &mut notes);
+    } = placed;
     warnings.extend(notes.into_iter().map(|n| format!("images it is drawn on: {n}")));
     if !usable(&world_from_voxel) {
         return Ok(None);
@@ -195,10 +197,8 @@ fn image_grid(
     let mut size = [columns, rows, refs.len()];
     let is_resampled = choice.resample && !even && at.len() > 1;
     if is_resampled {
-        let last = (at.len() - 1) as f64;
-        let least = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
-        size[2] = (last / least.max(1.0 / 16.0)).round() as usize + 1;
-        world_from_voxel.matrix3.z_axis *= last / (size[2] - 1) as f64;
+        size[2] = resampled_count;
+        world_from_voxel.matrix3.z_axis *= (at.len() - 1) as f64 / (size[2] - 1) as f64;
     }
     let along = if is_resampled { 0.0 } else { along };
     let by_mm = along.max(aside);

@@ -14,7 +14,8 @@ pub const BIG_ENDIAN: &str = "1.2.840.10008.1.2.2";
 pub const RLE: &str = "1.2.840.10008.1.2.5";
 /// GE's private syntax: implicit VR little endian, but pixels in big endian.
 pub const GE_BIG_ENDIAN_PIXELS: &str = "1.2.840.113619.5.2";
-/// The JPEG syntaxes: baseline, extended, lossless.
+/// The JPEG syntaxes: four lossy ones (baseline, extended, spectral selection, progressive), then
+/// two lossless ones.
 pub const JPEG: [&str; 6] = [
     "1.2.840.10008.1.2.4.50",
     "1.2.840.10008.1.2.4.51",

@@ -284,7 +284,9 @@ impl DecodeJob<'_> {
             .for_each(|((out, indices), tables)| {
                 for (color, index) in out.chunks_exact_mut(3).zip(indices) {
                     for (byte, (first, table)) in color.iter_mut().zip(tables) {
-                        *byte = table[(i64::from(*index) - first).clamp(0, table.len() as i64 - 1) as usize];
+                        *byte = table[i64::from(*index)
+                            .saturating_sub(*first)
+                            .clamp(0, table.len() as i64 - 1) as usize];
                     }
                 }
             });

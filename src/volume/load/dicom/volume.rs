@@ -17,9 +17,6 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// Maximum factor by which resampling may increase the number of slices.
-const MAX_RESAMPLING_FACTOR: f64 = 16.0;
-
 /// The first frame of each slice, and the slice index of each frame; several frames of a
 /// segmentation share a slice.
 fn slices(frames: &[Frame], segmentation: bool) -> (Vec<&Frame>, Vec<usize>) {
@@ -206,10 +203,7 @@ fn evened(
         ));
     }
     let at = &placement.at;
-    let mut gaps: Vec<f64> = at.windows(2).map(|w| w[1] - w[0]).collect();
-    gaps.sort_by(f64::total_cmp);
-    let step = gaps[gaps.len() / 2].max((at.len() - 1) as f64 / (MAX_RESAMPLING_FACTOR * at.len() as f64));
-    let count = ((at.len() - 1) as f64 / step).round() as usize + 1;
+    let count = placement.resampled_count();
     let step = (at.len() - 1) as f64 / (count - 1) as f64;
     let (labels, padding) = (matches!(image.meaning, Meaning::Labels(_)), image.padding);
     // Two slices, and the position between them.

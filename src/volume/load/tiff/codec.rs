@@ -156,6 +156,7 @@ impl Chunk<'_> {
                 }
             }
         }
+        out.truncate(self.length);
         out
     }
 

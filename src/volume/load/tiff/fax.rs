@@ -159,7 +159,11 @@ fn two_dimensional_line(reader: &mut impl BitReader, above: &[u16], width: u16) 
         match mode::decode(reader)? {
             Mode::Pass => at = b2,
             Mode::Vertical(by) => {
-                at = u16::try_from(i32::from(b1) + i32::from(by)).ok()?.min(width);
+                let to = u16::try_from(i32::from(b1) + i32::from(by)).ok()?.min(width);
+                if to < at {
+                    return None;
+                }
+                at = to;
                 changes.push(at);
                 is_black = !is_black;
             }

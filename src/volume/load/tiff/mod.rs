@@ -46,10 +46,9 @@ pub(super) fn single_page(path: &Path) -> Result<StatedSlice> {
     let ended = || Error::file(path, "its pixels are damaged; copy or export it again");
     catch_panic(|| {
         let (mut file, directories) = TiffReader::open(path)?;
-        let slice = pages::single_page(&mut file, &directories)?;
-        let format = PageFormat::of(&mut file, &directories[0])?;
+        let (page, format, slice) = pages::single_page(&mut file, &directories)?;
         let metadata = described(&mut file, &directories)?;
-        let mut notices = format.notices(&mut file, &directories[0])?;
+        let mut notices = format.notices(&mut file, &directories[page])?;
         notices.extend(metadata.unused_resolution);
         Ok(StatedSlice {
             slice,

@@ -120,7 +120,14 @@ impl PageFormat {
                 "stores colours as {name}, which cannot be read; convert it to grey or RGB"
             ))
         })?;
-        let row = row_format(file, directory, if planar { 1 } else { samples as usize })?;
+        let mut row = row_format(file, directory, if planar { 1 } else { samples as usize })?;
+        if compression == Compression::Jpeg2000 {
+            if row.kind == SampleKind::Float {
+                return Err(file.error("declares JPEG 2000 pixels as floating-point numbers; it is damaged"));
+            }
+            // The decoder returns whole bytes, whatever the number of bits.
+            row.bits = row.bits.next_power_of_two().max(8);
+        }
         let tiled = directory.has(tag::TILE_OFFSETS) || directory.has(tag::TILE_WIDTH);
         let chunk = if tiled {
             let of = |n: Option<u64>| n.filter(|n| (1..=1 << 20).contains(n)).map(|n| n as usize);

@@ -345,12 +345,16 @@ impl Pages<'_> {
 }
 
 /// The only page of a file that is one of several.
-pub(super) fn single_page(file: &mut TiffReader, directories: &[Directory]) -> Result<ImageSlice> {
+pub(super) fn single_page(
+    file: &mut TiffReader,
+    directories: &[Directory],
+) -> Result<(usize, PageFormat, ImageSlice)> {
     let pages = slice_pages(file, directories, &mut Vec::new())?;
     match pages[..] {
         [page] => {
             let format = PageFormat::of(file, &directories[page])?;
-            format.read(file, &directories[page], 0)
+            let slice = format.read(file, &directories[page], 0)?;
+            Ok((page, format, slice))
         }
         _ => Err(Error::file(
             &file.path,
