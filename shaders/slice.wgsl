@@ -1,55 +1,120 @@
-// Slabs of view-aligned slices, front to back ([DDM06] section 4): a fragment composites the
-// samples of SLAB slices, and the blend unit composites the slabs.
+// What a fragment of a slice shows ([DDM06] section 4). Counterpart of src/cpu/slices.rs, whose
+// rasteriser and blending are the GPU's own here.
 //
-// A fragment computes its positions from its pixel's ray and its slices' depths rather than from
-// interpolated vertices. This is the same arithmetic as for a ray's samples, hence both renderers
-// sample the same points. A slab's polygon covers more than its slices; the fragment tests which
-// slices its ray meets inside the box.
+// A slice is one polygon. For a slab of SLAB slices the polygon lies at their mean depth, and the
+// fragment composites their samples before the blend unit composites the slabs.
 
-struct Slab {
+struct Slice {
     @builtin(position) position: vec4<f32>,
-    // Index of the nearest slice, which lies at depth (first + 1/2) step.
-    @location(0) @interpolate(flat) first: i32,
+    // World mm, interpolated over the polygon.
+    @location(0) deformed: vec3<f32>,
+    // Index of the slab's nearest slice, which lies at depth (first + 1/2) step.
+    @location(1) @interpolate(flat) first: i32,
 }
 
 @vertex
-fn vertex(@location(0) corner: vec4<f32>) -> Slab {
+fn vertex(@location(0) corner: vec4<f32>) -> Slice {
     let clip = frame.clip_from_world * vec4<f32>(corner.xyz, 1.0);
     // Behind the mask of opaque pixels at depth 0, in front of everything else.
-    return Slab(vec4<f32>(clip.xy, 0.5 * clip.w, clip.w), i32(corner.w));
+    return Slice(vec4<f32>(clip.xy, 0.5 * clip.w, clip.w), corner.xyz, i32(corner.w));
+}
+
+// A sample of a slice.
+struct SliceSample {
+    // Premultiplied.
+    color: vec4<f32>,
+    // For projections.
+    value: f32,
+    present: bool,
+    // Whether it was taken or lies in an empty cell.
+    taken: bool,
+}
+
+// Samples a slice at a point; `step` is the path between slices along the pixel's ray.
+fn fragment_sample(deformed: vec3<f32>, direction: vec3<f32>, half: vec3<f32>, step: f32) -> SliceSample {
+    var sample = SliceSample(vec4<f32>(0.0), 0.0, false, false);
+    let state = cell_block(vec3<i32>(cell_of(deformed)));
+    if state > 0u && state < CUT_FREE_FLAG {
+        return sample;
+    }
+    sample.taken = true;
+    let part = retained_part(deformed, direction, 0.0, step);
+    if part.share <= 0.0 {
+        return sample;
+    }
+    let p = deformed + direction * part.t;
+    let at = sample_scene(p);
+    sample.value = at.value;
+    sample.present = at.present;
+    if BLEND != BLEND_COMPOSITE {
+        return sample;
+    }
+    // No sample of another slice is known here.
+    let front = PreviousSample(p - direction * step, NOT_SAMPLED);
+    var found: VisibleSample;
+    if PREINTEGRATED == 0u {
+        found = visible_sample(at, p);
+    } else {
+        found = visible_segment_sample(at, front_value(at, front.point, 0.0, false), p);
+    }
+    if !to_be_shaded(at, found.depth, p, step) {
+        return sample;
+    }
+    sample.color = opaque_face(at, p, direction, step);
+    if sample.color.a == 0.0 && ISO == ISO_NONE {
+        let length = step / frame.reference_mm * part.share;
+        sample.color = shaded_sample(at, found, front, state >= CUT_FREE_FLAG, direction, half, step, length);
+    }
+    return sample;
 }
 
 @fragment
-fn fragment(slab: Slab) -> @location(0) vec4<f32> {
-    var ray = pixel_ray(slab.position.xy);
-    let step = frame.step_mm / dot(ray.direction, frame.forward);
-    // As for rays; a shifted slice is at most a whole step away from its polygon.
-    let shift = pixel_shift(vec2<u32>(slab.position.xy)) * step;
-    ray.origin += ray.direction * shift;
-    var first = slab.first;
-    var end = slab.first + i32(SLAB);
-    if SLAB > 1u {
-        let range = proxy_range(ray.origin, 1.0 / ray.direction);
-        first = max(first, first_sample_after(range.x, step));
-        end = select(first, min(end, first_sample_after(range.y, step)), range.x <= range.y);
-    }
+fn fragment(slice: Slice) -> @location(0) vec4<f32> {
+    let direction = pixel_ray(slice.position.xy).direction;
+    let cosine = dot(direction, frame.forward);
+    let step = frame.step_mm / cosine;
+    let half = half_vector(direction);
+    let shift = pixel_shift(vec2<u32>(slice.position.xy)) * step;
+    var until = FAR_AWAY;
     if BEHIND != 0u {
-        end = min(
-            end, first_sample_after(textureLoad(behind_t, vec2<i32>(slab.position.xy), 0).r - shift, step)
-        );
+        until = textureLoad(behind_t, vec2<i32>(slice.position.xy), 0).r - shift;
     }
-    let all = composite(slab.position.xy, ray, first, end, step);
+    let polygon_depth = dot(slice.deformed - frame.eye, frame.forward);
+    var color = vec4<f32>(0.0);
+    var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
+    var present_count = 0.0;
+    var counted = vec3<u32>(0u);
+    for (var n = 0; n < i32(SLAB); n += 1) {
+        let depth = (f32(slice.first + n) + 0.5) * frame.step_mm;
+        if depth >= until * cosine {
+            break;
+        }
+        var p = slice.deformed + direction * shift;
+        if SLAB > 1u {
+            p += direction * ((depth - polygon_depth) / cosine);
+        }
+        let sample = fragment_sample(p, direction, half, step);
+        counted += select(vec3<u32>(0u, 1u, 0u), vec3<u32>(1u, 0u, 0u), sample.taken);
+        if sample.present && BLEND != BLEND_COMPOSITE {
+            present_count += 1.0;
+            projected = insert_value(projected, sample.value);
+        }
+        color += sample.color * (1.0 - color.a);
+        if frame.early_termination != 0u && 1.0 - color.a < MIN_TRANSMITTANCE {
+            counted.z += SLAB - 1u - u32(n);
+            break;
+        }
+    }
+    count(slice.position.xy, counted);
     if BLEND == BLEND_COMPOSITE {
-        return all.color;
+        return color;
     }
     // Red: the value (negated for the minimum), for the blend unit's maximum or sum; green: whether
     // a value is present, or how many are.
-    let value = select(
-        -1e4, select(all.projected, -all.projected, BLEND == BLEND_MINIP), all.present_count > 0.0
-    );
+    let value = select(-1e4, select(projected, -projected, BLEND == BLEND_MINIP), present_count > 0.0);
     return vec4<f32>(
-        select(value, all.projected, BLEND == BLEND_AVERAGE),
-        select(min(all.present_count, 1.0), all.present_count, BLEND == BLEND_AVERAGE),
+        select(value, projected, BLEND == BLEND_AVERAGE),
+        select(min(present_count, 1.0), present_count, BLEND == BLEND_AVERAGE),
         0.0,
         0.0,
     );

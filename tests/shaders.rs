@@ -214,7 +214,12 @@ const PAIRS: &[(&str, &str, &str)] = &[
          is_cut grey_face light_cosine_by_derivative iso_surface path_fraction shaded_normal light",
     ),
     ("src/cpu/march.rs", "shaders/lib/march.wgsl", "first_sample_after"),
-    ("src/cpu/march.rs", "shaders/lib/composite.wgsl", "pixel_shift"),
+    (
+        "src/cpu/found.rs",
+        "shaders/lib/found.wgsl",
+        "pixel_shift to_be_shaded shade_found=shaded_sample",
+    ),
+    ("src/cpu/slices.rs", "shaders/slice.wgsl", "fragment_sample fragment"),
     (
         "src/cpu/surface.rs",
         "shaders/lib/surface.wgsl",

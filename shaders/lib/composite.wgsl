@@ -1,9 +1,8 @@
-// Composites a segment of a ray front to back: the whole ray, or the samples of one slab of slices.
+// Composites the samples of a ray front to back.
 
-const MIN_TRANSMITTANCE: f32 = 1.0 / 512.0;
 const NEVER: f32 = -1e30;
 
-struct RaySegment {
+struct RaySamples {
     // Premultiplied.
     color: vec4<f32>,
     // Greatest, smallest or summed value of a projection, and the number of samples in it.
@@ -20,59 +19,8 @@ fn proxy_range(origin: vec3<f32>, inverse_direction: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(max(nears.x, max(nears.y, nears.z)), min(fars.x, min(fars.y, fars.z)));
 }
 
-// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplications and shifts, with
-// the same integers on every device.
-fn pixel_shift(pixel: vec2<u32>) -> f32 {
-    if frame.jitter == 0u {
-        return 0.0;
-    }
-    var h = pixel.x * 0x9E3779B1u ^ pixel.y * 0x85EBCA77u;
-    h = (h ^ (h >> 16u)) * 0x7FEB352Du;
-    h = (h ^ (h >> 15u)) * 0x846CA68Bu;
-    h ^= h >> 16u;
-    return f32(h >> 8u) / 16777216.0 - 0.5;
-}
-
-// Adds a value to a projection.
-fn insert_value(projected: f32, value: f32) -> f32 {
-    switch BLEND {
-        case BLEND_MIP: { return max(projected, value); }
-        case BLEND_MINIP: { return min(projected, value); }
-        default: { return projected + value; }
-    }
-}
-
-// The value at the front end of a sample's segment: that of the previous sample if there is one,
-// otherwise the sample's own.
-fn front_value(at: SceneSample, previous: vec3<f32>, before: f32, is_known: bool) -> f32 {
-    if !at.present {
-        return at.value;
-    }
-    if is_known {
-        return before;
-    }
-    let earlier = sample_scene(previous);
-    return select(at.value, earlier.value, earlier.present);
-}
-
-// Whether a sample is visible or may lie at a cut face.
-fn is_to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -> bool {
-    if GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step) {
-        return true;
-    }
-    if ISO != ISO_NONE {
-        return at.present && at.value >= frame.iso;
-    }
-    return depth > 0.0 || is_near_mask_edge(at);
-}
-
-// Whether visible samples are shaded by a gradient.
-fn shades_by_gradient() -> bool {
-    return BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && (is_lit() || uses_gradient_opacity());
-}
-
 // Composites samples first .. end of a ray, at (i + 1/2) step.
-fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySegment {
+fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySamples {
     let inverse_direction = 1.0 / ray.direction;
     let length = step / frame.reference_mm;
     let half = half_vector(ray.direction);
@@ -151,7 +99,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                 }
                 found = visible_segment_sample(at, front, sampled);
             }
-            stop = is_to_be_shaded(at, found.depth, sampled, step);
+            stop = to_be_shaded(at, found.depth, sampled, step);
         }
         if stop {
             let face = opaque_face(at, found.deformed, ray.direction, step);
@@ -170,5 +118,5 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
         }
     }
     count(pixel, counted);
-    return RaySegment(color, projected, present_count);
+    return RaySamples(color, projected, present_count);
 }

@@ -67,6 +67,9 @@ pub struct Common {
     /// Sampling distance in voxels (of the smallest spacing).
     #[arg(long)]
     pub step: Option<f32>,
+    /// Slices composited inside one fragment (mode slice); 1 draws one polygon per slice.
+    #[arg(long, value_name = "N")]
+    slab: Option<u32>,
     /// Antialias with N by N samples per pixel (1 to 4).
     #[arg(long, value_name = "N")]
     antialias: Option<u32>,
@@ -170,6 +173,7 @@ impl Common {
         render.mode = self.mode.map_or(render.mode, Mode::from);
         render.size = self.size.unwrap_or(render.size);
         render.step = self.step.unwrap_or(render.step);
+        render.slab = self.slab.unwrap_or(render.slab);
         render.antialias = self.antialias.unwrap_or(render.antialias);
         render.background = self.background.unwrap_or(render.background);
         let camera = &mut scene.camera;

@@ -17,12 +17,12 @@
 //! changes no faster than the point moves, hence it is bounded between two evaluations. The
 //! Jacobian is the identity outside all maps.
 
-use super::packet::{RayMarcher, SamplePacket};
-use super::packet_shading::{PreviousSamples, ScalarSample, ShadingRays};
+use super::found::{FetchPolicy, FoundSamples, ShadedSamples};
+use super::packet::PacketSampler;
+use super::packet_shading::{PreviousSamples, ShadingRays};
 use super::{IntensityProjection, MIN_TRANSMITTANCE};
 use crate::math::lanes::*;
 use crate::picture::RenderStats;
-use crate::scene::Mode;
 use crate::volume::Voxel;
 use glam::{Mat3, Vec3};
 
@@ -40,31 +40,6 @@ pub struct RayPacket<S: Simd> {
 /// How many steps ahead of a sample its texels are prefetched: one step would be too late.
 const PREFETCH_STEPS: f32 = 2.0;
 
-/// Counts how many samples of the packets so far found something to shade. Where few did, gradients
-/// are fetched only for those rather than with every value. The picture does not depend on it.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct FetchPolicy {
-    lookups: u32,
-    shaded_lookups: u32,
-}
-
-impl FetchPolicy {
-    /// Whether it pays to fetch gradients with values: a value alone costs about half as much.
-    fn fetches_gradients(self) -> bool {
-        self.shaded_lookups * 3 >= self.lookups
-    }
-}
-
-/// A pixel's shift of its samples, in steps, -1/2 .. 1/2: a hash by multiplications and shifts,
-/// with the same integers as in `shaders/lib/composite.wgsl`.
-pub fn pixel_shift(x: u32, y: u32) -> f32 {
-    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77);
-    h = (h ^ (h >> 16)).wrapping_mul(0x7FEB_352D);
-    h = (h ^ (h >> 15)).wrapping_mul(0x846C_A68B);
-    h ^= h >> 16;
-    (h >> 8) as f32 / 16_777_216.0 - 0.5
-}
-
 /// Index of the first sample at or after `t`, for eight rays.
 #[inline(always)]
 fn first_sample_after<S: Simd>(t: f32x8<S>, step: f32x8<S>) -> f32x8<S> {
@@ -81,7 +56,7 @@ fn sum<S: Simd>(v: f32x8<S>) -> u64 {
     v.as_slice().iter().sum::<f32>() as u64
 }
 
-impl<T: Voxel> RayMarcher<'_, T> {
+impl<T: Voxel> PacketSampler<'_, T> {
     /// Marches through the volume along eight rays; returns premultiplied colours.
     #[inline(always)]
     pub fn march<S: Simd>(
@@ -146,13 +121,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
             y: one / direction.y,
             z: one / direction.z,
         };
-        let step = match scene.settings.mode {
-            Mode::Raycast | Mode::Surface => f32x8::splat(simd, frame.spacing.step_mm),
-            Mode::Slice => {
-                f32x8::splat(simd, frame.spacing.step_mm)
-                    / direction.dot(Vec3x8::splat(simd, frame.view.forward))
-            }
-        };
+        let step = f32x8::splat(simd, frame.spacing.step_mm);
         let (near, far) = frame.proxy.intersect_rays(simd, origin, inverse_direction);
         let number = first_sample_after(near, step);
         let end = first_sample_after(far.min(until), step);
@@ -292,7 +261,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
     ) -> FoundSamples<S> {
         let (origin, direction, step) = (rays.origin, rays.direction, rays.step);
         let no_sample = f32x8::splat(simd, NO_SAMPLE);
-        let mut found = FoundSamples::nothing(simd, rays);
+        let mut found = FoundSamples::nothing(simd, origin, rays.with_gradients);
         let mut searching = way.live;
         while searching.any_true() {
             let (t, mut p) = self.advance_through_empty_space(simd, rays, way, &mut searching);
@@ -336,16 +305,7 @@ impl<T: Voxel> RayMarcher<'_, T> {
             };
             let own_depth = sample.depth;
             self.look_up_segments(simd, &mut sample, lanes, &previous, way.last.value);
-            let mut hit = lanes
-                & match self.scene.volume().iso {
-                    Some(iso) => sample.present & sample.value.simd_ge(iso),
-                    None => {
-                        sample.depth.simd_gt(0.0) | (sample.alpha.simd_gt(0.0) & sample.alpha.simd_lt(1.0))
-                    }
-                };
-            if self.grey_faces {
-                hit |= lanes & sample.present & (sample.alpha.simd_lt(1.0) | near_cut);
-            }
+            let hit = self.to_be_shaded(&sample, lanes, near_cut);
             found.insert(hit, &sample, p, share, near_cut, &previous);
             searching &= !hit;
             way.last.number = here.select((lanes & whole).select(number, no_sample), way.last.number);
@@ -361,29 +321,6 @@ impl<T: Voxel> RayMarcher<'_, T> {
         found
     }
 
-    /// Depths of the segments between eight samples and the previous ones, where the transfer
-    /// function is pre-integrated.
-    #[inline(always)]
-    fn look_up_segments<S: Simd>(
-        &self,
-        simd: S,
-        sample: &mut SamplePacket<S>,
-        lanes: mask32x8<S>,
-        previous: &PreviousSamples<S>,
-        last_value: f32x8<S>,
-    ) {
-        let Some(table) = &self.preintegrated else { return };
-        sample.front = (previous.sampled & previous.present).select(last_value, sample.value);
-        let unknown = lanes & sample.present & !previous.sampled;
-        if unknown.any_true() {
-            let earlier = self.sample_points(simd, previous.point, unknown, false);
-            sample.front = earlier.present.select(earlier.value, sample.front);
-        }
-        for n in lanes_of((lanes & sample.present).to_bitmask()) {
-            sample.depth[n] = self.segment(table, sample.front[n], sample.value[n])[3];
-        }
-    }
-
     /// Shades the samples found and composites them behind the accumulated colour; rays that have
     /// become opaque end.
     #[inline(always)]
@@ -396,66 +333,23 @@ impl<T: Voxel> RayMarcher<'_, T> {
         accumulated: &mut Accumulated<S>,
         fetch_policy: &mut FetchPolicy,
     ) {
-        let FoundSamples {
-            lanes,
-            sample,
-            deformed,
-            share,
+        let shading_rays = ShadingRays {
+            direction: rays.direction,
+            half: rays.half,
+            step: rays.step,
+        };
+        let shaded = self.shade_found(simd, shading_rays, found, fetch_policy);
+        let ShadedSamples {
+            color,
+            visible,
+            opaque,
             ..
-        } = found;
-        let zero = f32x8::splat(simd, 0.0);
-        let mut visible = *lanes & sample.depth.simd_gt(0.0);
-        let mut opaque = rays.none;
-        let (mut rgb, mut depth) = (accumulated.color, zero);
-        let mut scalar_lanes = self.scalar_lanes(simd, rays, found, visible);
-        let packet_lanes = visible & !scalar_lanes;
-        if packet_lanes.any_true() {
-            fetch_policy.shaded_lookups += 1;
-            let shading_rays = ShadingRays {
-                direction: rays.direction,
-                half: rays.half,
-                step: rays.step,
-            };
-            let (shaded, factor, cut) = self.shade(
-                simd,
-                sample,
-                *deformed,
-                shading_rays,
-                packet_lanes,
-                &found.previous,
-            );
-            rgb = shaded;
-            depth = sample.depth * factor * *share;
-            scalar_lanes |= cut;
-        }
-        let scalar_lanes = scalar_lanes & *lanes;
-        if scalar_lanes.any_true() {
-            // Copies, for the same reason as in `retain`.
-            let (sample, deformed, share) = (found.sample, found.deformed, found.share);
-            let (direction, step) = (rays.direction, rays.step);
-            for n in lanes_of(scalar_lanes.to_bitmask()) {
-                let (lane, front) = (sample.lane(n), sample.front[n]);
-                match self.shade_scalar(lane, front, deformed.lane(n), direction.lane(n), step[n]) {
-                    ScalarSample::Nothing => visible.set(n, false),
-                    ScalarSample::Opaque(color) => {
-                        opaque.set(n, true);
-                        rgb.set(n, color);
-                        depth[n] = f32::INFINITY;
-                        visible.set(n, true);
-                    }
-                    ScalarSample::Visible(color, of_sample) => {
-                        visible.set(n, true);
-                        rgb.set(n, color);
-                        depth[n] = of_sample * share[n];
-                    }
-                }
-            }
-        }
+        } = shaded;
         let one = f32x8::splat(simd, 1.0);
-        // Opacity correction: τ per Δ₀ times the sample's length in Δ₀.
-        let pass = opaque.select(zero, exp2(-(depth * rays.length)));
+        let pass = shaded.transmittance(simd, rays.length);
+        let zero = f32x8::splat(simd, 0.0);
         let weight = visible.select(accumulated.transmittance * (one - pass), zero);
-        accumulated.color = accumulated.color + Vec3x8::select(visible, rgb, accumulated.color) * weight;
+        accumulated.color = accumulated.color + Vec3x8::select(visible, color, accumulated.color) * weight;
         accumulated.transmittance =
             visible.select(accumulated.transmittance * pass, accumulated.transmittance);
         let mut through = opaque;
@@ -465,45 +359,6 @@ impl<T: Voxel> RayMarcher<'_, T> {
         let through = through & way.live;
         way.terminated += through.select((rays.end - way.number).max(0.0), zero);
         way.live &= !through & way.number.simd_lt(rays.end);
-    }
-
-    /// Which of the samples found are shaded one by one: those near a cut, and those at which
-    /// material ends.
-    #[inline(always)]
-    fn scalar_lanes<S: Simd>(
-        &self,
-        simd: S,
-        rays: &MarchRays<S>,
-        found: &FoundSamples<S>,
-        visible: mask32x8<S>,
-    ) -> mask32x8<S> {
-        let FoundSamples {
-            lanes,
-            sample,
-            previous,
-            ..
-        } = found;
-        if self.grey_faces || self.scene.volume().iso.is_some() {
-            return *lanes;
-        }
-        let mut scalar_lanes = found.near_cut & *lanes;
-        // Faces of the volume farther than a step away change only the normal, unless there are
-        // holes.
-        let near_face = *lanes
-            & !sample.inside
-            & !self.far_from_faces(sample.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
-        if near_face.any_true() {
-            let near = if self.scene.volume().grid.has_holes {
-                f32x8::splat(simd, self.margin_mm)
-            } else {
-                rays.step * 1.1
-            };
-            scalar_lanes |= near_face & self.nearest_face(simd, sample.in_voxel).0.simd_lt(near);
-        }
-        // Material that ends between the previous sample and this one, both invisible: only one of
-        // the two is present then.
-        let both = (previous.present & sample.present) | !(previous.present | sample.present);
-        scalar_lanes | (*lanes & !visible & !(previous.sampled & (both | previous.depth.simd_gt(0.0))))
     }
 }
 
@@ -564,99 +419,4 @@ struct Accumulated<S: Simd> {
     color: Vec3x8<S>,
     transmittance: f32x8<S>,
     projection: IntensityProjection<S>,
-}
-
-/// Samples that have something to shade.
-struct FoundSamples<S: Simd> {
-    /// Rays that have found one.
-    lanes: mask32x8<S>,
-    sample: SamplePacket<S>,
-    /// Their positions in the deformed scene.
-    deformed: Vec3x8<S>,
-    /// The fraction of their step that they represent.
-    share: f32x8<S>,
-    /// Which are near a cut shape.
-    near_cut: mask32x8<S>,
-    previous: PreviousSamples<S>,
-}
-
-impl<S: Simd> FoundSamples<S> {
-    #[inline(always)]
-    fn nothing(simd: S, rays: &MarchRays<S>) -> Self {
-        let (zero, one, none) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0), rays.none);
-        let anywhere = rays.origin;
-        let sample = SamplePacket {
-            in_voxel: anywhere,
-            value: zero,
-            present: none,
-            alpha: one,
-            depth: zero,
-            front: zero,
-            inside: none,
-            cut_free: none,
-            differences: anywhere,
-            color: anywhere,
-            with_gradients: rays.with_gradients,
-        };
-        let previous = PreviousSamples {
-            point: anywhere,
-            sampled: none,
-            present: none,
-            depth: zero,
-        };
-        Self {
-            lanes: none,
-            sample,
-            deformed: anywhere,
-            share: one,
-            near_cut: none,
-            previous,
-        }
-    }
-
-    /// Stores the samples of some lanes.
-    #[inline(always)]
-    fn insert(
-        &mut self,
-        hit: mask32x8<S>,
-        new: &SamplePacket<S>,
-        deformed: Vec3x8<S>,
-        share: f32x8<S>,
-        near_cut: mask32x8<S>,
-        previous: &PreviousSamples<S>,
-    ) {
-        let at = &mut self.sample;
-        if self.lanes.all_false() {
-            // Other lanes need no preservation. Fields are assigned one by one: a call that copies
-            // the whole would save all registers around it.
-            (at.in_voxel, at.value, at.differences, at.color) =
-                (new.in_voxel, new.value, new.differences, new.color);
-            (at.depth, at.front, at.alpha) = (new.depth, new.front, new.alpha);
-            (at.present, at.inside, at.cut_free) = (new.present, new.inside, new.cut_free);
-            (self.deformed, self.share, self.near_cut, self.lanes) = (deformed, share, hit & near_cut, hit);
-            self.previous.point = previous.point;
-            self.previous.sampled = hit & previous.sampled;
-            self.previous.present = hit & previous.present;
-            self.previous.depth = previous.depth;
-        } else if hit.any_true() {
-            at.in_voxel = Vec3x8::select(hit, new.in_voxel, at.in_voxel);
-            at.value = hit.select(new.value, at.value);
-            at.present = (hit & new.present) | (at.present & !hit);
-            at.alpha = hit.select(new.alpha, at.alpha);
-            at.depth = hit.select(new.depth, at.depth);
-            at.front = hit.select(new.front, at.front);
-            at.inside = (hit & new.inside) | (at.inside & !hit);
-            at.cut_free = (hit & new.cut_free) | (at.cut_free & !hit);
-            at.differences = Vec3x8::select(hit, new.differences, at.differences);
-            at.color = Vec3x8::select(hit, new.color, at.color);
-            self.deformed = Vec3x8::select(hit, deformed, self.deformed);
-            self.share = hit.select(share, self.share);
-            self.near_cut |= hit & near_cut;
-            self.previous.point = Vec3x8::select(hit, previous.point, self.previous.point);
-            self.previous.sampled |= hit & previous.sampled;
-            self.previous.present |= hit & previous.present;
-            self.previous.depth = hit.select(previous.depth, self.previous.depth);
-            self.lanes |= hit;
-        }
-    }
 }

@@ -1,10 +1,11 @@
 //! The CPU renderer: the reference for tests, and the backend where there is no GPU.
 //!
-//! *Theory*: the volume is marched along each pixel's ray in both slicing and ray casting; surfaces
-//! are found first, by [`surface`]. Ray casting puts samples at t = (i + 1/2) Δ from the eye; a
-//! view-aligned slice lies at depth (i + 1/2) Δ, hence a ray meets it at t = (i + 1/2) Δ / cos θ, θ
-//! being the angle to the view direction. Samples are anchored at the eye, not at the box; a
-//! different box (one map more or less, skipping on or off) samples the same points.
+//! *Theory*: two renderers of volumes share what a sample is ([`packet`], `packet_shading`, `found`,
+//! [`shading`]) and nothing else. *Rays* ([`march`]) put samples at t = (i + 1/2) Δ from the eye
+//! and composite them front to back. *Slices* ([`slices`]) rasterise the polygons in which the
+//! planes at depths (i + 1/2) Δ cut the volume's box, and composite them back to front. Surfaces
+//! are found first, by [`surface`]. Samples are anchored at the eye, not at the box; a different
+//! box (one map more or less, skipping on or off) samples the same points.
 //!
 //! Each sample evaluates the cheapest test first: macrocell, mask and source point, value, opacity.
 //! Only visible samples need a gradient, a Jacobian (where there is a normal or a cut is near) and
@@ -26,12 +27,14 @@
 //!
 //! `shaders/lib` contains the same arithmetic under the same names.
 
+mod found;
 pub mod march;
 mod packet;
 mod packet_shading;
 pub mod pick;
 pub mod section;
 pub mod shading;
+mod slices;
 pub mod surface;
 
 use crate::math::lanes::*;
@@ -41,10 +44,12 @@ use crate::scene::Mode;
 use crate::transfer::Blend;
 use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
 use crate::{Result, Watch};
+use found::{FetchPolicy, pixel_shift};
 use glam::Vec3;
-use march::{FetchPolicy, RayPacket};
-use packet::RayMarcher;
+use march::RayPacket;
+use packet::PacketSampler;
 use rayon::prelude::*;
+use slices::{SliceStrip, Slicer};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A ray ends when its remaining transmittance falls below this: less than half an 8-bit step can
@@ -104,13 +109,26 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, StageT
     (picture.reduced(scene.settings.antialias), stats, stages)
 }
 
+/// Some whole rows of a picture.
+struct Strip<'a> {
+    /// The first row.
+    top: usize,
+    /// Columns and rows where anything may be visible, first and past the last; the other pixels
+    /// stay empty.
+    columns: [usize; 2],
+    lines: [usize; 2],
+    pixels: &'a mut [[f32; 4]],
+}
+
+/// Draws a picture by strips of rows, on all threads.
 fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -> (Picture, RenderStats) {
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
     let strip_rows = STRIP_ROWS
         [usize::from((height as usize) < STRIP_ROWS[0] * STRIPS_PER_THREAD * rayon::current_num_threads())];
-    let marcher = RayMarcher::new(scene, sampler);
+    let sampler = PacketSampler::new(scene, sampler);
+    let slicer = (scene.settings.mode == Mode::Slice).then(|| Slicer::new(&sampler));
     let [columns, lines] = if scene.surfaces.objects.is_empty() {
         scene.frame.view.pixels_of(&scene.frame.proxy, scene.frame.size)
     } else {
@@ -130,15 +148,19 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
             if watch.is_cancelled() {
                 return RenderStats::default();
             }
-            let strip = RowStrip {
-                marcher: &marcher,
-                scene,
+            let strip = Strip {
                 top: n * strip_rows,
                 columns,
                 lines,
                 pixels,
             };
-            let stats = with_simd(strip);
+            let stats = match &slicer {
+                Some(slicer) => with_simd(SliceStrip { slicer, strip }),
+                None => with_simd(RayStrip {
+                    sampler: &sampler,
+                    strip,
+                }),
+            };
             let rows = done.fetch_add(strip_rows, Ordering::Relaxed) + strip_rows;
             (watch.progress)((rows as f32 / height as f32).min(1.0));
             stats
@@ -158,36 +180,31 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
     )
 }
 
-/// Some whole rows of the picture.
-struct RowStrip<'a, T> {
-    marcher: &'a RayMarcher<'a, T>,
-    scene: &'a Prepared<'a>,
-    /// The first row.
-    top: usize,
-    /// Columns where anything may be visible, first and past the last; the others stay empty.
-    columns: [usize; 2],
-    lines: [usize; 2],
-    pixels: &'a mut [[f32; 4]],
+/// A strip drawn by rays.
+struct RayStrip<'a, T> {
+    sampler: &'a PacketSampler<'a, T>,
+    strip: Strip<'a>,
 }
 
-impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
+impl<T: Voxel> SimdKernel for RayStrip<'_, T> {
     type Output = RenderStats;
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> RenderStats {
-        let Self { marcher, scene, .. } = self;
+        let Self { sampler, strip } = self;
+        let scene = sampler.scene;
         let frame = &scene.frame;
         let [width, height] = frame.size.map(|n| n as usize);
         let (mut stats, mut fetch_policy) = (RenderStats::default(), FetchPolicy::default());
-        let rows = self.pixels.len() / width;
+        let rows = strip.pixels.len() / width;
         let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
         let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
-        let seen = |y: &usize| self.top + y + 1 >= self.lines[0] && self.top + y < self.lines[1];
+        let seen = |y: &usize| strip.top + y + 1 >= strip.lines[0] && strip.top + y < strip.lines[1];
         // Columns of packets: each packet finds in the cache what the one above it has fetched.
-        let columns = (self.columns[0] / 4 * 4..self.columns[1]).step_by(4);
+        let columns = (strip.columns[0] / 4 * 4..strip.columns[1]).step_by(4);
         for (y, x) in columns.flat_map(|x| (0..rows).step_by(2).filter(seen).map(move |y| (y, x))) {
             let u = (across + x as f32) / width as f32 * 2.0 - 1.0;
-            let v = f32x8::splat(simd, 1.0) - (down + (self.top + y) as f32) / height as f32 * 2.0;
+            let v = f32x8::splat(simd, 1.0) - (down + (strip.top + y) as f32) / height as f32 * 2.0;
             let (origin, direction) = frame.view.rays(simd, u, v);
             let mut rays = RayPacket {
                 origin,
@@ -206,26 +223,19 @@ impl<T: Voxel> SimdKernel for RowStrip<'_, T> {
             if scene.settings.jitter {
                 for n in 0..LANES {
                     // Samples are shifted by moving the origin of the ray.
-                    let direction = direction.lane(n);
-                    let slant = if scene.settings.mode == Mode::Slice {
-                        direction.dot(frame.view.forward)
-                    } else {
-                        1.0
-                    };
-                    let shift = march::pixel_shift((x + n % 4) as u32, (self.top + y + n / 4) as u32)
-                        * frame.spacing.step_mm
-                        / slant;
-                    rays.origin.set(n, origin.lane(n) + direction * shift);
+                    let shift = pixel_shift((x + n % 4) as u32, (strip.top + y + n / 4) as u32)
+                        * frame.spacing.step_mm;
+                    rays.origin.set(n, origin.lane(n) + direction.lane(n) * shift);
                     rays.until[n] = (rays.until[n] - shift).max(0.0);
                 }
             }
             for n in (0..LANES).filter(|n| !wanted(*n)) {
                 rays.until[n] = -1.0;
             }
-            let colors = marcher.march(simd, rays, &mut stats, &mut fetch_policy);
+            let colors = sampler.march(simd, rays, &mut stats, &mut fetch_policy);
             for n in (0..LANES).filter(|n| wanted(*n)) {
                 let [r, g, b, a] = colors[n];
-                self.pixels[(y + n / 4) * width + x + n % 4] = match &behind[n] {
+                strip.pixels[(y + n / 4) * width + x + n % 4] = match &behind[n] {
                     Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a))
                         .extend(1.0)
                         .to_array(),

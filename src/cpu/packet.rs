@@ -30,8 +30,8 @@ pub(super) struct SamplePacket<S: Simd> {
     pub(super) with_gradients: bool,
 }
 
-/// What all packets of a picture share.
-pub struct RayMarcher<'a, T> {
+/// Samples packets of points of one picture.
+pub struct PacketSampler<'a, T> {
     pub(super) scene: &'a Prepared<'a>,
     pub(super) sampler: &'a VolumeSampler<'a, T>,
     /// Distance from the volume's faces, in voxels along each axis, within which these have an
@@ -52,7 +52,7 @@ pub struct RayMarcher<'a, T> {
     pub(super) preintegrated: Option<Preintegrated>,
 }
 
-impl<'a, T: Voxel> RayMarcher<'a, T> {
+impl<'a, T: Voxel> PacketSampler<'a, T> {
     /// Computes everything that does not depend on the ray.
     pub fn new(scene: &'a Prepared, sampler: &'a VolumeSampler<'a, T>) -> Self {
         let world_from_covector = Mat3::from(scene.volume().voxel_from_world.matrix3).transpose();

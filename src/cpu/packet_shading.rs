@@ -1,7 +1,7 @@
 //! [`super::shading`] for eight samples at once, and for those that must be shaded one by one.
 
 use super::SceneSample;
-use super::packet::{RayMarcher, SamplePacket};
+use super::packet::{PacketSampler, SamplePacket};
 use super::shading::{
     self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ENTRY_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK,
     SURFACE_GRADIENT, VisibleSample,
@@ -24,7 +24,7 @@ fn lit<S: Simd>(
     (lit - dull).mul_add(confidence, dull).max(0.0).min(1.0)
 }
 
-impl<T: Voxel> RayMarcher<'_, T> {
+impl<T: Voxel> PacketSampler<'_, T> {
     /// A sample that is not plain.
     #[inline(never)]
     pub(super) fn shade_scalar(

@@ -6,7 +6,7 @@ mod readback;
 pub mod shaders;
 
 pub use device::{AdapterPreference, Device};
-pub use readback::{read_buffer, read_r32f, read_rgba16f, texture_bytes};
+pub use readback::{read_buffer, read_picture, read_r32f, texture_bytes};
 
 use crate::{Error, Result};
 

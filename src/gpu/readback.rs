@@ -40,11 +40,12 @@ pub fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u
     mapped(device, buffer, |bytes| Ok(bytes.to_vec()))
 }
 
-/// An Rgba16Float texture as rows of pixels, through a mappable buffer of [`texture_bytes`].
+/// An Rgba16Float or Rgba32Float texture as rows of pixels, through a mappable buffer of
+/// [`texture_bytes`].
 ///
 /// # Errors
 /// A lost device.
-pub fn read_rgba16f(
+pub fn read_picture(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
     texture: &wgpu::Texture,
@@ -54,6 +55,13 @@ pub fn read_rgba16f(
     let mut pixels = vec![[0.0f32; 4]; row_texels * texture.height() as usize];
     copy(device, queue, texture, through);
     mapped(device, through, |bytes| {
+        if texture.format() == wgpu::TextureFormat::Rgba32Float {
+            let padded = row_bytes(texture) as usize;
+            for (row, bytes) in pixels.chunks_mut(row_texels).zip(bytes.chunks_exact(padded)) {
+                bytemuck::cast_slice_mut(row).copy_from_slice(&bytes[..16 * row_texels]);
+            }
+            return Ok(());
+        }
         let halves: &[f16] =
             bytemuck::try_cast_slice(bytes).map_err(|e| Error::Gpu(format!("reading back failed: {e}")))?;
         let padded = row_bytes(texture) as usize / 2;
@@ -68,7 +76,7 @@ pub fn read_rgba16f(
     Ok(pixels)
 }
 
-/// An R32Float texture as rows of pixels, through a buffer as for [`read_rgba16f`].
+/// An R32Float texture as rows of pixels, through a buffer as for [`read_picture`].
 ///
 /// # Errors
 /// A lost device.

@@ -55,6 +55,7 @@ const SHARED: [&str; 10] = [
 
 const NODE: &str = piece!("types/bounds.wgsl");
 const MARCH: &str = piece!("lib/march.wgsl");
+const FOUND: &str = piece!("lib/found.wgsl");
 const COMPOSITE: &str = piece!("lib/composite.wgsl");
 
 /// Additional pieces shared by the surface programs.
@@ -94,6 +95,7 @@ impl Program {
         let own: &[&str] = match self {
             Self::Raycast => &[
                 MARCH,
+                FOUND,
                 COMPOSITE,
                 piece!("lib/projection.wgsl"),
                 piece!("lib/ray.wgsl"),
@@ -102,13 +104,14 @@ impl Program {
             ],
             Self::RaycastCompute => &[
                 MARCH,
+                FOUND,
                 COMPOSITE,
                 piece!("lib/projection.wgsl"),
                 piece!("lib/ray.wgsl"),
                 count,
                 piece!("raycast_compute.wgsl"),
             ],
-            Self::Slice => &[MARCH, COMPOSITE, count, piece!("slice.wgsl")],
+            Self::Slice => &[MARCH, FOUND, count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Opaque => &[piece!("opaque.wgsl")],
             Self::SurfacesBehind => &[piece!("surfaces_behind.wgsl")],

@@ -373,6 +373,48 @@ impl Macrocells {
     }
 }
 
+impl Macrocells {
+    /// Whether a box lies in one block of empty cells; boxes that do not may be empty, too.
+    #[inline(always)]
+    pub fn is_empty_block(&self, b: &Bounds) -> bool {
+        let last = (self.size - 1).as_vec3();
+        let cell = ((b.center() - self.origin) * self.cells_per_mm)
+            .floor()
+            .clamp(Vec3::ZERO, last);
+        let c = cell.as_uvec3();
+        let index = ((c.z * self.size.y + c.y) * self.size.x + c.x) as usize;
+        if self.is_occupied(index) {
+            return false;
+        }
+        let reach = f32::from(self.distance[index]);
+        let low = self.origin + (cell - (reach - 1.0)) * self.cell_mm;
+        let high = self.origin + (cell + reach) * self.cell_mm;
+        // Nothing is visible outside the grid.
+        let beyond = |inside: glam::BVec3, at_end: glam::BVec3| (inside | at_end).all();
+        beyond(low.cmple(b.min), cell.cmple(reach - Vec3::ONE))
+            && beyond(high.cmpge(b.max), (cell + reach).cmpgt(last))
+    }
+
+    /// Which of eight points lie in empty cells, and which in cut-free ones.
+    #[inline(always)]
+    pub fn states_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> (mask32x8<S>, mask32x8<S>) {
+        let [i, j, k] = [
+            self.cells_along(p.x, 0).1,
+            self.cells_along(p.y, 1).1,
+            self.cells_along(p.z, 2).1,
+        ];
+        let size = self.size.as_ivec3();
+        let index = (k * size.y + j) * size.x + i;
+        let mut states = [0; LANES];
+        for n in 0..LANES {
+            states[n] = i32::from(self.distance[index[n] as usize]);
+        }
+        let states = i32x8::load_array(simd, states);
+        let cut_free = states.simd_eq(i32::from(CUT_FREE));
+        (states.simd_gt(0) & !cut_free, cut_free)
+    }
+}
+
 /// The occupied cells from `low` to `high` (exclusive), from the visibility of boxes between
 /// corners of cells.
 fn occupied_cells(

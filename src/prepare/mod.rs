@@ -18,6 +18,7 @@ mod object_cache;
 pub mod objects;
 mod prepared;
 mod sampled;
+pub mod slices;
 mod spacing;
 pub mod stack;
 pub mod surface_cells;

@@ -4,6 +4,7 @@ use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
 use super::objects::Surfaces;
+use super::slices::SlicePolygons;
 use super::spacing::{SampleSpacing, blend_mm, cut_margin_mm};
 use super::stack::Composition;
 use super::volume::{Classifier, VolumeObject};
@@ -13,7 +14,7 @@ use crate::deform::cut::CutShapes;
 use crate::math::{Bounds, normalize_or};
 use crate::mesh::Mesh;
 use crate::picture::StageTimes;
-use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, Scene, ViewFrame};
+use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, Scene, SliceOrder, ViewFrame};
 use crate::transfer::Blend;
 use crate::volume::{GradientFilter, GradientVolume};
 use glam::Vec3;
@@ -134,10 +135,29 @@ impl<'a> Prepared<'a> {
         })
     }
 
+    /// The polygons of the slices that can show anything.
+    pub fn slice_polygons(&self) -> SlicePolygons {
+        let shift = if self.settings.jitter { 0.5 } else { 0.0 };
+        SlicePolygons::of(
+            &self.frame,
+            &self.volume().macrocells,
+            self.proxy_mesh.as_deref(),
+            self.settings.slab,
+            shift,
+        )
+    }
+
     /// The first volume.
     #[inline(always)]
     pub fn volume(&self) -> &VolumeObject<'a> {
         &self.volumes[0]
+    }
+
+    /// Whether pixels end where they have become opaque: rays, and slices from front to back.
+    pub fn ends_early(&self) -> bool {
+        let in_order =
+            self.settings.mode != Mode::Slice || self.settings.slice_order == SliceOrder::FrontToBack;
+        self.settings.early_termination && in_order
     }
 
     /// Whether samples are lit.

@@ -1,21 +1,17 @@
-//! Submissions: bands of rays, slabs of slices. Two are in flight at a time, so that the device
+//! Submissions, and bands of rays. Two are in flight at a time, so that the device
 //! does not wait for the next one to be recorded.
 
 use super::Renderer;
 use super::context::{Context, lock};
 use super::counter::Counter;
 use super::pass_timer::PassTimer;
-use super::pipelines::gathered_layout;
-use super::slices::{self, SLICES_PER_SLAB};
-use super::target::{Layer, MASK, PROJECTION_FORMAT, RenderTexture};
+use super::target::{Layer, RenderTexture};
 use super::variant::{Variant, overrides};
 use crate::gpu::shaders::Program;
 use crate::gpu::{wait, wait_for};
 use crate::prepare::Prepared;
-use crate::transfer::Blend;
 use crate::{Result, Watch};
 use std::collections::VecDeque;
-use std::ops::Range;
 use wgpu::{BufferUsages, TextureFormat};
 
 /// Pixels per submission of rays: on hardware, and on a software driver, whose shorter bands allow
@@ -23,9 +19,6 @@ use wgpu::{BufferUsages, TextureFormat};
 const PIXELS_PER_BAND: [u32; 2] = [1 << 18, 1 << 16];
 /// Rays per workgroup along each axis, as in `shaders/raycast_compute.wgsl`.
 const RAYS_ACROSS: u32 = 8;
-/// Approximate number of samples per submission of slices.
-const SAMPLES_PER_BATCH: u64 = 1 << 24;
-
 /// One picture being drawn.
 #[derive(Clone, Copy)]
 pub(super) struct Draw<'a> {
@@ -40,12 +33,12 @@ pub(super) struct Draw<'a> {
 }
 
 impl Draw<'_> {
-    fn variant(&self, context: &Context, program: Program) -> Variant {
+    pub(super) fn variant(&self, context: &Context, program: Program) -> Variant {
         context.variant(self.scene, program, self.counter.is_some())
     }
 
     /// Binds the scene, and the counters if samples are counted.
-    fn bind(&self, pass: &mut wgpu::RenderPass) {
+    pub(super) fn bind(&self, pass: &mut wgpu::RenderPass) {
         pass.set_bind_group(0, self.bindings, &[]);
         if let Some(counter) = self.counter {
             pass.set_bind_group(1, &counter.group, &[]);
@@ -54,20 +47,20 @@ impl Draw<'_> {
 }
 
 /// Attachments of a pass.
-struct Canvas<'a> {
-    color: Option<(&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>)>,
-    depth: Option<(&'a wgpu::TextureView, wgpu::LoadOp<f32>)>,
+pub(super) struct Canvas<'a> {
+    pub color: Option<(&'a wgpu::TextureView, wgpu::LoadOp<wgpu::Color>)>,
+    pub depth: Option<(&'a wgpu::TextureView, wgpu::LoadOp<f32>)>,
 }
 
 impl<'a> Canvas<'a> {
-    fn of(color: &'a wgpu::TextureView, load: wgpu::LoadOp<wgpu::Color>) -> Self {
+    pub(super) fn of(color: &'a wgpu::TextureView, load: wgpu::LoadOp<wgpu::Color>) -> Self {
         Self {
             color: Some((color, load)),
             depth: None,
         }
     }
 
-    fn pass(
+    pub(super) fn pass(
         &self,
         clock: Option<&PassTimer>,
         encoder: &mut wgpu::CommandEncoder,
@@ -116,12 +109,12 @@ struct Bands {
 
 /// Submissions in flight, the oldest first.
 #[derive(Default)]
-struct PendingSubmissions(VecDeque<(wgpu::SubmissionIndex, f32)>);
+pub(super) struct PendingSubmissions(VecDeque<(wgpu::SubmissionIndex, f32)>);
 
 impl Context {
     /// Submits; waits for the previous submission, reports its progress, and checks for
     /// cancellation.
-    fn submit(
+    pub(super) fn submit(
         &self,
         encoder: wgpu::CommandEncoder,
         share: f32,
@@ -186,11 +179,6 @@ impl Context {
             .entry(variant)
             .or_insert_with(make)
             .clone()
-    }
-
-    fn gathered_group(&self, view: &wgpu::TextureView) -> wgpu::BindGroup {
-        let layout = gathered_layout(&self.device.device);
-        self.cached_bind_group("gathered", &layout, vec![(1, view.clone())], &[])
     }
 }
 
@@ -263,174 +251,5 @@ impl Renderer {
             self.context
                 .cached_bind_group(purpose, &layout, vec![(1, draw.target.view.clone())], &others);
         Bands { first_row, group }
-    }
-
-    /// Draws slabs of slices front to back: each is blended under the existing content, and is not
-    /// drawn where that is opaque. Projections are accumulated instead, in any order.
-    pub(super) fn draw_slices(&mut self, draw: &Draw) -> Result<()> {
-        let scene = draw.scene;
-        let [width, height] = scene.frame.size;
-        let composite = scene.volume().blend == Blend::Composite;
-        let projection_values = (!composite).then(|| {
-            self.targets
-                .target(&self.context, "gathered", width, height, PROJECTION_FORMAT)
-        });
-        let mask = composite.then(|| {
-            self.targets
-                .target(&self.context, "opaque pixels", width, height, MASK)
-        });
-        let polygons = slices::slabs(
-            &scene.frame,
-            &scene.volume().macrocells,
-            scene.proxy_mesh.as_deref(),
-        );
-        let vertices = self
-            .targets
-            .slice_vertices(&self.context, bytemuck::cast_slice(&polygons.corners));
-        let targets = SliceTargets {
-            color: projection_values.as_ref().map_or(&draw.target.view, |t| &t.view),
-            mask: mask.as_ref().map(|m| &m.view),
-            vertices: &vertices,
-        };
-        let empty = match scene.volume().blend {
-            Blend::Composite | Blend::Average => wgpu::Color::TRANSPARENT,
-            // Below every value; green stays 0 where nothing is drawn.
-            Blend::Mip | Blend::Minip => wgpu::Color {
-                r: -1e4,
-                ..wgpu::Color::TRANSPARENT
-            },
-        };
-        let mut pending = PendingSubmissions::default();
-        let mut encoder = self.context.encoder();
-        targets
-            .canvas(wgpu::LoadOp::Clear(empty), wgpu::LoadOp::Clear(1.0))
-            .pass(draw.clock, &mut encoder, |_| {});
-        self.context
-            .draw_slabs(draw, &targets, &polygons.slabs, &mut encoder, &mut pending)?;
-        if composite {
-            if draw.behind.is_some() {
-                Canvas::of(targets.color, wgpu::LoadOp::Load).pass(draw.clock, &mut encoder, |pass| {
-                    pass.set_pipeline(
-                        &self
-                            .context
-                            .pipeline(draw.variant(&self.context, Program::SurfacesBehind)),
-                    );
-                    pass.set_bind_group(0, draw.bindings, &[]);
-                    pass.draw(0..3, 0..1);
-                });
-            }
-        } else {
-            let group = self.context.gathered_group(targets.color);
-            Canvas::of(&draw.target.view, wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT)).pass(
-                draw.clock,
-                &mut encoder,
-                |pass| {
-                    pass.set_pipeline(
-                        &self
-                            .context
-                            .pipeline(draw.variant(&self.context, Program::Resolve)),
-                    );
-                    pass.set_bind_group(0, draw.bindings, &[]);
-                    pass.set_bind_group(1, &group, &[]);
-                    pass.draw(0..3, 0..1);
-                },
-            );
-        }
-        self.context.submit(encoder, 1.0, &mut pending, draw.watch)?;
-        wait(&self.context.device.device)
-    }
-}
-
-/// The textures that slabs of slices are drawn into, and the corners of their polygons.
-struct SliceTargets<'a> {
-    /// The picture, or the values of a projection.
-    color: &'a wgpu::TextureView,
-    /// Depth 0 at opaque pixels; none for projections.
-    mask: Option<&'a wgpu::TextureView>,
-    vertices: &'a wgpu::Buffer,
-}
-
-impl<'a> SliceTargets<'a> {
-    /// The attachments of a pass that draws slabs.
-    fn canvas(&self, color: wgpu::LoadOp<wgpu::Color>, depth: wgpu::LoadOp<f32>) -> Canvas<'a> {
-        Canvas {
-            color: Some((self.color, color)),
-            depth: self.mask.map(|view| (view, depth)),
-        }
-    }
-}
-
-impl Context {
-    /// Records slabs front to back and submits all batches except the last. Between slabs, masks
-    /// pixels that have become opaque.
-    fn draw_slabs(
-        &self,
-        draw: &Draw,
-        targets: &SliceTargets,
-        slabs: &[Range<u32>],
-        encoder: &mut wgpu::CommandEncoder,
-        pending: &mut PendingSubmissions,
-    ) -> Result<()> {
-        let scene = draw.scene;
-        let [width, height] = scene.frame.size;
-        let seen = targets
-            .mask
-            .filter(|_| scene.settings.early_termination)
-            .map(|_| self.gathered_group(&draw.target.view));
-        let pipeline = &self.pipeline(draw.variant(self, Program::Slice));
-        let canvas = targets.canvas(wgpu::LoadOp::Load, wgpu::LoadOp::Load);
-        let samples_per_slab = u64::from(width)
-            * u64::from(height)
-            * if scene.proxy_mesh.is_some() {
-                1
-            } else {
-                SLICES_PER_SLAB as u64
-            };
-        let mut samples = 0;
-        // For a mesh, polygons are single slices.
-        let slabs_at_once = if scene.proxy_mesh.is_some() {
-            SLICES_PER_SLAB as usize
-        } else {
-            1
-        };
-        let mut parts = slabs
-            .chunks(slabs_at_once)
-            .map(|p| (p.len() as u64, p[0].start..p[p.len() - 1].end))
-            .enumerate()
-            .peekable();
-        while let Some((n, (count, corners))) = parts.next() {
-            canvas.pass(draw.clock, encoder, |pass| {
-                pass.set_pipeline(pipeline);
-                draw.bind(pass);
-                pass.set_vertex_buffer(0, targets.vertices.slice(..));
-                pass.draw(corners, 0..1);
-            });
-            // Only where the next slabs are.
-            if let (Some(seen), Some((_, (_, next)))) = (&seen, parts.peek()) {
-                Canvas {
-                    color: None,
-                    depth: canvas.depth,
-                }
-                .pass(draw.clock, encoder, |pass| {
-                    pass.set_pipeline(&self.pipeline(draw.variant(self, Program::Opaque)));
-                    pass.set_bind_group(0, draw.bindings, &[]);
-                    pass.set_bind_group(1, seen, &[]);
-                    pass.set_vertex_buffer(0, targets.vertices.slice(..));
-                    pass.draw(next.clone(), 0..1);
-                });
-            }
-            samples += samples_per_slab * count;
-            if samples >= SAMPLES_PER_BATCH {
-                let share = ((n + 1) * slabs_at_once).min(slabs.len()) as f32 / slabs.len() as f32;
-                self.submit(
-                    std::mem::replace(encoder, self.encoder()),
-                    share,
-                    pending,
-                    draw.watch,
-                )?;
-                samples = 0;
-            }
-        }
-        Ok(())
     }
 }

@@ -2,13 +2,10 @@
 //! triangles, on one library of WGSL functions.
 //!
 //! *Theory*: the shaders in `shaders/lib` contain the arithmetic of `src/cpu`, function by
-//! function. Slices are drawn in slabs of 32: a polygon covers the sections of the proxy box by 32
-//! planes, a fragment composites their samples in 32 bits, and the hardware blends slabs front to
-//! back, under the existing content, into a premultiplied 16-bit float target. Between slabs,
-//! pixels that have become opaque get depth 0, and the depth test rejects everything behind them
-//! before it is shaded (Krueger and Westermann 2003). Slices of a mesh are drawn one by one.
-//! Projections (MIP and the like) blend by maximum or sum, in 32 bits, and a second pass applies
-//! the transfer function.
+//! function. A slice is one polygon, the section of the proxy geometry by a plane; slices are drawn
+//! back to front and composited "over" by the blend unit, premultiplied, in 32 bits. Options are
+//! slabs of several slices composited inside a fragment, front to back with an early end, and 16
+//! bits (`slices`).
 //!
 //! *How to call it*: a [`Renderer`] holds resources by lifetime: `context` those of the device
 //! (pipelines, layouts, bind groups), `cache` those of a scene (the volume's texture, displacement
@@ -70,7 +67,7 @@ mod work;
 pub use strategy::Strategy;
 pub use work::Work;
 
-use crate::gpu::{Device, checked, read_rgba16f, texture_bytes, wait};
+use crate::gpu::{Device, checked, read_picture, texture_bytes, wait};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::Mode;
@@ -83,7 +80,7 @@ use draw::Draw;
 use pass_timer::PassTimer;
 use std::sync::Arc;
 use target::{Layer, Targets};
-use wgpu::{Features, TextureFormat};
+use wgpu::Features;
 
 /// Renders on one device.
 pub struct Renderer {
@@ -223,6 +220,10 @@ impl Renderer {
             .filter(|_| shows_volume)
             .into_iter()
             .collect();
+        let mut notices = reduced;
+        if shows_volume && !self.context.can_blend(scene) {
+            notices.push("this GPU cannot blend 32-bit values; slices are blended in 16 bits".into());
+        }
         let shared = stages.time("bind", || self.shared(scene))?;
         let counter = counting.then(|| self.targets.fresh_counter(&self.context));
         let inputs = PictureInputs {
@@ -239,7 +240,7 @@ impl Renderer {
         };
         let pixels = stages.time("readback", || {
             let buffer = self.targets.readback(&self.context, texture_bytes(&target));
-            read_rgba16f(
+            read_picture(
                 &self.context.device.device,
                 &self.context.device.queue,
                 &target,
@@ -253,7 +254,7 @@ impl Renderer {
             pixels,
         }
         .reduced(scene.settings.antialias);
-        Ok(scene.rendered(picture, stats, stages, reduced))
+        Ok(scene.rendered(picture, stats, stages, notices))
     }
 
     /// Checks that the device can render a scene.
@@ -320,7 +321,7 @@ impl Renderer {
             "picture",
             width,
             height,
-            TextureFormat::Rgba16Float,
+            self.context.picture_format(scene),
         );
         stages.time("pipelines", || self.context.compile(scene, counter.is_some()));
         let clock = self.clock.clone();

@@ -3,13 +3,13 @@
 use super::constants::wgsl_constants;
 use super::context::{Context, lock};
 use super::counter::Counter;
-use super::slices;
+use super::slices::Corner;
 use super::target::{MASK, PROJECTION_FORMAT};
 use super::variant::{Variant, overrides};
 use super::work::ResourceKind;
 use crate::gpu::shaders::Program;
 use crate::prepare::Prepared;
-use crate::scene::{Mode, Normals};
+use crate::scene::{BlendFormat, Mode, Normals, SliceOrder};
 use crate::transfer::Blend;
 use wgpu::TextureFormat;
 
@@ -32,11 +32,13 @@ impl Context {
             },
             blend: scene.volume().blend,
             gradient: scene.gradient_filter(),
-            slab: if program != Program::Slice || scene.proxy_mesh.is_some() {
-                1
+            slab: if program == Program::Slice {
+                scene.settings.slab
             } else {
-                slices::SLICES_PER_SLAB as u32
+                1
             },
+            order: scene.settings.slice_order,
+            format: self.picture_format(scene),
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
             iso: scene
@@ -51,11 +53,36 @@ impl Context {
         }
     }
 
+    /// Whether a scene's slices are to be blended in 32 bits.
+    fn blends_in_32_bits(scene: &Prepared) -> bool {
+        scene.settings.mode == Mode::Slice
+            && scene.volume().blend == Blend::Composite
+            && scene.settings.blend_format == BlendFormat::Float32
+    }
+
+    /// Whether the device can blend a scene's slices in the scene's format.
+    pub(super) fn can_blend(&self, scene: &Prepared) -> bool {
+        let features = self.device.device.features();
+        !Self::blends_in_32_bits(scene) || features.contains(wgpu::Features::FLOAT32_BLENDABLE)
+    }
+
+    /// The format of a scene's picture: 32 bits only for slices that are blended in them, on a
+    /// device that can.
+    pub(super) fn picture_format(&self, scene: &Prepared) -> TextureFormat {
+        if Self::blends_in_32_bits(scene) && self.can_blend(scene) {
+            TextureFormat::Rgba32Float
+        } else {
+            TextureFormat::Rgba16Float
+        }
+    }
+
     pub(super) fn compile(&self, scene: &Prepared, counting: bool) {
+        let front_to_back = scene.settings.slice_order == SliceOrder::FrontToBack;
         let mut programs = match (scene.settings.mode, scene.volume().blend) {
             (Mode::Surface, _) => vec![],
             (Mode::Raycast, _) => vec![self.strategy.rays()],
-            (Mode::Slice, Blend::Composite) => vec![Program::Slice, Program::Opaque],
+            (Mode::Slice, Blend::Composite) if front_to_back => vec![Program::Slice, Program::Opaque],
+            (Mode::Slice, Blend::Composite) => vec![Program::Slice],
             (Mode::Slice, _) => vec![Program::Slice, Program::Resolve],
         };
         if scene.settings.mode == Mode::Slice
@@ -121,7 +148,7 @@ impl Context {
             immediate_size: 0,
         });
         let corner = wgpu::VertexBufferLayout {
-            array_stride: size_of::<slices::Corner>() as u64,
+            array_stride: size_of::<Corner>() as u64,
             step_mode: wgpu::VertexStepMode::Vertex,
             attributes: &wgpu::vertex_attr_array![0 => Float32x4],
         };
@@ -162,15 +189,19 @@ impl Context {
 
 /// The format that a variant draws to, and how it blends.
 fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
-    // Front to back: new content is blended under the existing content.
-    let through = wgpu::BlendComponent {
-        src_factor: wgpu::BlendFactor::OneMinusDstAlpha,
-        dst_factor: wgpu::BlendFactor::One,
+    // New content, premultiplied, is blended over or under the existing content.
+    let (src_factor, dst_factor) = match variant.order {
+        SliceOrder::BackToFront => (wgpu::BlendFactor::One, wgpu::BlendFactor::OneMinusSrcAlpha),
+        SliceOrder::FrontToBack => (wgpu::BlendFactor::OneMinusDstAlpha, wgpu::BlendFactor::One),
+    };
+    let component = wgpu::BlendComponent {
+        src_factor,
+        dst_factor,
         operation: wgpu::BlendOperation::Add,
     };
-    let under = wgpu::BlendState {
-        color: through,
-        alpha: through,
+    let composited = wgpu::BlendState {
+        color: component,
+        alpha: component,
     };
     let gather = |operation| {
         let component = wgpu::BlendComponent {
@@ -184,9 +215,7 @@ fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
         }
     };
     let (format, blend) = match (variant.program, variant.blend) {
-        (Program::Slice | Program::SurfacesBehind, Blend::Composite) => {
-            (TextureFormat::Rgba16Float, Some(under))
-        }
+        (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (variant.format, Some(composited)),
         (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
         (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
         _ => (TextureFormat::Rgba16Float, None),

@@ -170,7 +170,7 @@ impl FrameUniform {
             },
             two_sided: u32::from(light.two_sided),
             has_holes: u32::from(scene.volume().grid.has_holes),
-            early_termination: u32::from(scene.settings.early_termination),
+            early_termination: u32::from(scene.ends_early()),
             grey_low: scene.volume().grey_window[0],
             grey_high: scene.volume().grey_window[1],
             iso: scene.volume().iso.unwrap_or(0.0),

@@ -2,7 +2,7 @@
 
 use super::constants;
 use crate::gpu::shaders::Program;
-use crate::scene::{IsoLight, Normals};
+use crate::scene::{IsoLight, Normals, SliceOrder};
 use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 
@@ -17,6 +17,8 @@ pub(super) struct Variant {
     pub(super) blend: Blend,
     pub(super) gradient: GradientFilter,
     pub(super) slab: u32,
+    pub(super) order: SliceOrder,
+    pub(super) format: wgpu::TextureFormat,
     pub(super) preintegrated: bool,
     pub(super) cuts: usize,
     pub(super) grey_faces: bool,

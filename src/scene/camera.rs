@@ -249,6 +249,15 @@ impl ViewFrame {
         }
     }
 
+    /// The line of a pixel: its point at depth z is the first plus z times the second.
+    pub fn across(&self, u: f32, v: f32) -> (Vec3, Vec3) {
+        let across = self.right * u + self.up * v;
+        match self.projection {
+            Projection::Perspective => (self.eye, self.forward + across),
+            Projection::Orthographic => (self.eye + across, self.forward),
+        }
+    }
+
     /// Origin and unit direction of the ray through picture coordinates in -1..1.
     #[inline(always)]
     pub fn ray(&self, u: f32, v: f32) -> (Vec3, Vec3) {

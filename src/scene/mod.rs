@@ -69,6 +69,10 @@ pub struct Scene {
     pub folder: PathBuf,
 }
 
+fn is_default_slab(slab: &u32) -> bool {
+    *slab == 1
+}
+
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
@@ -299,6 +303,28 @@ pub enum IsoLight {
     Derivative,
 }
 
+/// The order in which slices are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SliceOrder {
+    /// Each slice over those behind it (\[DDM06\] section 4).
+    #[default]
+    BackToFront,
+    /// Each slice under those in front of it; pixels that have become opaque are left out.
+    FrontToBack,
+}
+
+/// The number format in which slices are blended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum BlendFormat {
+    /// 32 bits.
+    #[default]
+    Float32,
+    /// 16 bits: half the memory traffic, but hundreds of thin slices add up their rounding.
+    Float16,
+}
+
 /// The `[render]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -339,6 +365,16 @@ pub struct RenderSettings {
     /// becomes fine noise.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub jitter: bool,
+    /// Slices composited inside one fragment before they are blended, 1 to 64 (mode "slice"). 1
+    /// draws one polygon per slice.
+    #[serde(skip_serializing_if = "is_default_slab")]
+    pub slab: u32,
+    /// The order in which slices are drawn (mode "slice").
+    #[serde(skip_serializing_if = "is_default")]
+    pub slice_order: SliceOrder,
+    /// The number format in which slices are blended (mode "slice").
+    #[serde(skip_serializing_if = "is_default")]
+    pub blend_format: BlendFormat,
     /// Replace all deformations by one precomputed map wherever its error is at most this, mm;
     /// elsewhere, for example along tears, every deformation is evaluated. Rendering time then
     /// hardly depends on their number.
@@ -364,6 +400,9 @@ impl Default for RenderSettings {
             iso_light: IsoLight::Gradient,
             preintegrated: false,
             jitter: false,
+            slab: 1,
+            slice_order: SliceOrder::BackToFront,
+            blend_format: BlendFormat::Float32,
             precompose: None,
         }
     }

@@ -56,6 +56,8 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
     }
 }
 
+/// Most slices composited inside one fragment.
+const MAX_SLAB: u32 = 64;
 /// Bounds on the error of a precomposed map, mm.
 const PRECOMPOSE_MM: std::ops::RangeInclusive<f32> = 0.001..=100.0;
 
@@ -65,6 +67,12 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
         return Err(Error::value(
             "step",
             format!("{} is outside 0.01 to 100 voxels", settings.step),
+        ));
+    }
+    if !(1..=MAX_SLAB).contains(&settings.slab) {
+        return Err(Error::value(
+            "slab",
+            format!("{} is outside 1 to {MAX_SLAB} slices", settings.slab),
         ));
     }
     if settings.iso.is_some_and(|v| !v.is_finite()) {

@@ -1,0 +1,659 @@
+//! Slices on the CPU: a rasteriser of the polygons in which view-aligned planes cut the proxy
+//! geometry ([`SlicePolygons`]), and the composition of their fragments back to front ("over",
+//! premultiplied; \[DDM06\] section 4).
+//!
+//! *Theory*: a slice is parallel to the picture plane, so interpolation over its polygon is affine
+//! in pixel coordinates: the fragment of pixel (u, v) at depth z lies at eye + z (forward + u right
+//! + v up), or at eye + z forward + u right + v up without perspective. A fragment stands for the
+//! path Δ / cos θ between slices along its pixel's ray, θ being the angle between that ray and the
+//! slices' normal (opacity correction).
+//!
+//! *Method*: the picture is drawn in tiles small enough for the cache; a tile passes through all
+//! slices before the next one starts. A polygon covers the pixels whose centres it contains; a
+//! centre on an edge that two triangles share belongs to one of them, as on a GPU. Nothing of a ray
+//! is stored between two slices but the colour composited so far: each fragment is sampled and
+//! shaded on its own. This renderer shares with [`super::march`] what a sample is, and nothing
+//! else; in an orthographic view, where both take the same samples, they must agree to rounding.
+//!
+//! Options, as on the GPU: slabs of several slices composited before they are blended; front to
+//! back with an end at opaque pixels; blending in 16 bits.
+//!
+//! `shaders/slice.wgsl` contains what one fragment does; the rasteriser is the GPU's own.
+
+use super::found::{FetchPolicy, FoundSamples, pixel_shift};
+use super::packet::PacketSampler;
+use super::packet_shading::{PreviousSamples, ShadingRays};
+use super::{IntensityProjection, MIN_TRANSMITTANCE, Strip, surface};
+use crate::math::Bounds;
+use crate::math::lanes::*;
+use crate::picture::RenderStats;
+use crate::prepare::slices::{Slab, SlicePolygons};
+use crate::scene::{BlendFormat, Projection, SliceOrder, ViewFrame};
+use crate::volume::Voxel;
+use glam::{Vec2, Vec3};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+
+/// Columns of a tile; its rows are those of a strip.
+const TILE_COLUMNS: usize = 32;
+
+/// What all tiles of a picture share.
+pub(super) struct Slicer<'a, T> {
+    sampler: &'a PacketSampler<'a, T>,
+    slices: SlicePolygons,
+    /// The polygons on the picture, in the order of `slices.polygons`.
+    outlines: Vec<Outline>,
+}
+
+/// A convex polygon on the picture, pixels.
+struct Outline {
+    low: Vec2,
+    high: Vec2,
+    edges: Vec<Edge>,
+}
+
+/// One edge of a polygon: the inside is where its function is positive.
+#[derive(Clone, Copy)]
+struct Edge {
+    /// The end that comes first in the order of coordinates: two polygons that share an edge
+    /// compute the same numbers.
+    from: Vec2,
+    along: Vec2,
+    /// 1 or -1: the side of the inside.
+    side: f32,
+    /// Whether points on the edge belong to the polygon.
+    includes_edge: bool,
+}
+
+impl Edge {
+    /// The edge of a polygon that runs round its inside anticlockwise (y down).
+    fn new(a: Vec2, b: Vec2) -> Self {
+        let in_order = (a.x, a.y) < (b.x, b.y);
+        let (from, to) = if in_order { (a, b) } else { (b, a) };
+        let direction = b - a;
+        Self {
+            from,
+            along: to - from,
+            side: if in_order { 1.0 } else { -1.0 },
+            // The rule of GPUs: top and left edges.
+            includes_edge: direction.y < 0.0 || (direction.y == 0.0 && direction.x < 0.0),
+        }
+    }
+
+    fn contains(&self, p: Vec2) -> bool {
+        let value = self.side * self.along.perp_dot(p - self.from);
+        value > 0.0 || (value == 0.0 && self.includes_edge)
+    }
+
+    #[inline(always)]
+    fn contains_lanes<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> mask32x8<S> {
+        let value = ((y - self.from.y) * self.along.x - (x - self.from.x) * self.along.y) * self.side;
+        if self.includes_edge {
+            value.simd_ge(0.0)
+        } else {
+            value.simd_gt(0.0)
+        }
+    }
+}
+
+impl Outline {
+    fn new(view: &ViewFrame, size: Vec2, corners: &[Vec3]) -> Self {
+        let mut points: Vec<Vec2> = corners.iter().map(|p| pixel_of(view, size, *p)).collect();
+        let area: f32 = (0..points.len())
+            .map(|n| points[n].perp_dot(points[(n + 1) % points.len()]))
+            .sum();
+        if area < 0.0 {
+            points.reverse();
+        }
+        Self {
+            low: points.iter().copied().fold(Vec2::INFINITY, Vec2::min),
+            high: points.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max),
+            edges: (0..points.len())
+                .map(|n| (points[n], points[(n + 1) % points.len()]))
+                .filter(|(a, b)| a != b)
+                .map(|(a, b)| Edge::new(a, b))
+                .collect(),
+        }
+    }
+}
+
+/// Where a point in front of the eye appears, pixels from the upper left corner.
+fn pixel_of(view: &ViewFrame, size: Vec2, p: Vec3) -> Vec2 {
+    let d = p - view.eye;
+    let depth = match view.projection {
+        Projection::Perspective => d.dot(view.forward),
+        Projection::Orthographic => 1.0,
+    };
+    let at = Vec2::new(
+        d.dot(view.right) / view.right.length_squared(),
+        -d.dot(view.up) / view.up.length_squared(),
+    ) / depth;
+    (at + 1.0) * 0.5 * size
+}
+
+impl<'a, T: Voxel> Slicer<'a, T> {
+    pub(super) fn new(sampler: &'a PacketSampler<'a, T>) -> Self {
+        let scene = sampler.scene;
+        let frame = &scene.frame;
+        let slices = scene.slice_polygons();
+        let size = Vec2::new(frame.size[0] as f32, frame.size[1] as f32);
+        let outlines = slices
+            .polygons
+            .iter()
+            .map(|range| {
+                let corners = &slices.corners[range.start as usize..range.end as usize];
+                Outline::new(&frame.view, size, corners)
+            })
+            .collect();
+        Self {
+            sampler,
+            slices,
+            outlines,
+        }
+    }
+}
+
+/// A strip drawn by slices.
+pub(super) struct SliceStrip<'a, T> {
+    pub(super) slicer: &'a Slicer<'a, T>,
+    pub(super) strip: Strip<'a>,
+}
+
+/// Eight pixels, four across and two down, and what has been composited there.
+struct PixelPacket<S: Simd> {
+    /// The upper left pixel.
+    x: usize,
+    y: usize,
+    /// Centres, pixels.
+    center: [f32x8<S>; 2],
+    /// Positions at depth z are origin + z across.
+    origin: Vec3x8<S>,
+    across: Vec3x8<S>,
+    /// The pixels' rays, and the paths between slices along them.
+    rays: ShadingRays<S>,
+    /// Those paths in reference lengths.
+    length: f32x8<S>,
+    /// Distance by which samples are moved along the rays, mm.
+    shift: f32x8<S>,
+    /// Depth at which something opaque hides the slices, mm; negative outside the picture.
+    until: f32x8<S>,
+    /// Premultiplied.
+    color: Vec3x8<S>,
+    alpha: f32x8<S>,
+    projection: IntensityProjection<S>,
+}
+
+/// Some columns of a strip.
+struct Tile<S: Simd> {
+    packets: Vec<PixelPacket<S>>,
+    /// Corners, pixels.
+    low: Vec2,
+    high: Vec2,
+    /// The first column.
+    left: usize,
+    /// Lines through the corners: at depth z they are at the first plus z times the second.
+    lines: [(Vec3, Vec3); 4],
+    /// Distance by which samples may be moved, mm.
+    shift_mm: f32,
+    /// Colours of surfaces behind the volume, row by row; empty if the scene has none.
+    surfaces: Vec<Option<Vec3>>,
+}
+
+impl<S: Simd> Tile<S> {
+    /// The box of the tile's samples between two depths, mm.
+    fn bounds(&self, depths: &[f32; 2]) -> Bounds {
+        let points = self
+            .lines
+            .iter()
+            .flat_map(|(origin, across)| depths.map(|z| *origin + *across * z));
+        points
+            .map(|p| Bounds::new(p, p))
+            .fold(Bounds::EMPTY, |all, p| all.union(&p))
+            .grown(self.shift_mm)
+    }
+
+    /// The colour of the surface behind a pixel of the strip, if there is one.
+    fn behind(&self, x: usize, y: usize) -> Option<Vec3> {
+        self.surfaces
+            .get(y * TILE_COLUMNS + x - self.left)
+            .copied()
+            .flatten()
+    }
+}
+
+/// Colour and transmittance of a fragment of one slab.
+struct SlabFragments<S: Simd> {
+    color: Vec3x8<S>,
+    transmittance: f32x8<S>,
+    /// Where it shows anything.
+    any: mask32x8<S>,
+}
+
+impl<T: Voxel> SimdKernel for SliceStrip<'_, T> {
+    type Output = RenderStats;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> RenderStats {
+        let Self { slicer, mut strip } = self;
+        let mut stats = RenderStats::default();
+        let [first, last] = strip.columns;
+        for left in (first / TILE_COLUMNS * TILE_COLUMNS..last).step_by(TILE_COLUMNS) {
+            slicer.draw_tile(simd, &mut strip, left, &mut stats);
+        }
+        stats
+    }
+}
+
+impl<T: Voxel> Slicer<'_, T> {
+    /// Draws a tile of a strip, from a column on.
+    #[inline(always)]
+    fn draw_tile<S: Simd>(&self, simd: S, strip: &mut Strip, left: usize, stats: &mut RenderStats) {
+        let settings = &self.sampler.scene.settings;
+        let front_to_back = settings.slice_order == SliceOrder::FrontToBack;
+        let mut tile = self.tile(simd, strip, left, stats);
+        let mut fetch_policy = FetchPolicy::default();
+        let slabs = &self.slices.slabs;
+        for n in 0..slabs.len() {
+            let slab = if front_to_back {
+                &slabs[n]
+            } else {
+                &slabs[slabs.len() - 1 - n]
+            };
+            let is_open = self.draw_slab(simd, &mut tile, slab, stats, &mut fetch_policy);
+            if !is_open {
+                break;
+            }
+        }
+        let width = self.sampler.scene.frame.size[0] as usize;
+        let rows = strip.pixels.len() / width;
+        for pixels in &tile.packets {
+            for n in 0..LANES {
+                let (x, y) = (pixels.x + n % 4, pixels.y + n / 4);
+                if x < width && y < rows {
+                    strip.pixels[y * width + x] = self.pixel(pixels, &tile, x, y, n);
+                }
+            }
+        }
+    }
+
+    /// The colour of a pixel when all slices have been drawn, premultiplied.
+    fn pixel<S: Simd>(
+        &self,
+        pixels: &PixelPacket<S>,
+        tile: &Tile<S>,
+        x: usize,
+        y: usize,
+        lane: usize,
+    ) -> [f32; 4] {
+        let scene = self.sampler.scene;
+        let [r, g, b, a] = if self.sampler.composite {
+            let color = pixels.color.lane(lane);
+            [color.x, color.y, color.z, pixels.alpha[lane]]
+        } else {
+            pixels.projection.color(scene, lane)
+        };
+        let drawn_over = self.sampler.composite && scene.settings.slice_order == SliceOrder::BackToFront;
+        match tile.behind(x, y) {
+            Some(color) if !drawn_over => (Vec3::new(r, g, b) + color * (1.0 - a)).extend(1.0).to_array(),
+            _ => [r, g, b, a],
+        }
+    }
+
+    /// The pixels of a tile before the first slice: surfaces behind the volume are already there.
+    #[inline(always)]
+    fn tile<S: Simd>(&self, simd: S, strip: &Strip, left: usize, stats: &mut RenderStats) -> Tile<S> {
+        let scene = self.sampler.scene;
+        let frame = &scene.frame;
+        let [width, height] = frame.size.map(|n| n as usize);
+        let rows = strip.pixels.len() / width;
+        let right = (left + TILE_COLUMNS).min(strip.columns[1]);
+        let mut tile = Tile {
+            packets: Vec::with_capacity(TILE_COLUMNS / 4 * rows.div_ceil(2)),
+            low: Vec2::new(left as f32, strip.top as f32),
+            high: Vec2::new((left + TILE_COLUMNS) as f32, (strip.top + rows) as f32),
+            left,
+            lines: [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[i, j]| {
+                let u = (left + i * TILE_COLUMNS) as f32 / width as f32 * 2.0 - 1.0;
+                let v = 1.0 - (strip.top + j * rows) as f32 / height as f32 * 2.0;
+                frame.view.across(u, v)
+            }),
+            shift_mm: if scene.settings.jitter {
+                0.5 * frame.spacing.step_mm * frame.view.longest_slant()
+            } else {
+                0.0
+            },
+            surfaces: Vec::new(),
+        };
+        let shows_surfaces = !scene.surfaces.objects.is_empty();
+        if shows_surfaces {
+            tile.surfaces = vec![None; TILE_COLUMNS * rows];
+        }
+        let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
+        let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
+        let seen = |y: &usize| strip.top + y + 1 >= strip.lines[0] && strip.top + y < strip.lines[1];
+        let zero = f32x8::splat(simd, 0.0);
+        for (y, x) in (0..rows)
+            .step_by(2)
+            .filter(seen)
+            .flat_map(|y| (left..right).step_by(4).map(move |x| (y, x)))
+        {
+            let center = [across + x as f32, down + (strip.top + y) as f32];
+            let u = center[0] / width as f32 * 2.0 - 1.0;
+            let v = f32x8::splat(simd, 1.0) - center[1] / height as f32 * 2.0;
+            let (origin, direction) = frame.view.rays(simd, u, v);
+            let forward = Vec3x8::splat(simd, frame.view.forward);
+            let slant = direction.dot(forward);
+            let step = f32x8::splat(simd, frame.spacing.step_mm) / slant;
+            let to_picture =
+                Vec3x8::splat(simd, frame.view.right) * u + Vec3x8::splat(simd, frame.view.up) * v;
+            let mut pixels = PixelPacket {
+                x,
+                y,
+                center,
+                origin,
+                across: match frame.view.projection {
+                    Projection::Perspective => forward + to_picture,
+                    Projection::Orthographic => forward,
+                },
+                rays: ShadingRays {
+                    direction,
+                    half: (Vec3x8::splat(simd, frame.to_light) - direction).normalized(),
+                    step,
+                },
+                length: step * frame.spacing.reference_mm.recip(),
+                shift: zero,
+                until: f32x8::splat(simd, f32::INFINITY),
+                color: Vec3x8::splat(simd, Vec3::ZERO),
+                alpha: zero,
+                projection: IntensityProjection::new(simd, scene.volume().blend),
+            };
+            for n in 0..LANES {
+                let (px, py) = (x + n % 4, y + n / 4);
+                if px >= width || py >= rows {
+                    pixels.until[n] = -1.0;
+                    continue;
+                }
+                if scene.settings.jitter {
+                    pixels.shift[n] = pixel_shift(px as u32, (strip.top + py) as u32) * step[n];
+                }
+                if !shows_surfaces {
+                    continue;
+                }
+                let hit =
+                    surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
+                if let Some(hit) = hit {
+                    pixels.until[n] = (hit.t - pixels.shift[n]) * slant[n];
+                    pixels.color.set(n, hit.color);
+                    pixels.alpha[n] = 1.0;
+                    tile.surfaces[py * TILE_COLUMNS + px - left] = Some(hit.color);
+                }
+            }
+            if !self.sampler.composite || scene.settings.slice_order == SliceOrder::FrontToBack {
+                // Surfaces come last.
+                pixels.color = Vec3x8::splat(simd, Vec3::ZERO);
+                pixels.alpha = zero;
+            }
+            tile.packets.push(pixels);
+        }
+        tile
+    }
+
+    /// Depths of the first and the last slice of a slab, mm.
+    fn depths(&self, slab: &Slab) -> [f32; 2] {
+        [0, i64::from(self.slices.slices_per_slab) - 1].map(|n| self.depth_mm(slab.first + n))
+    }
+
+    /// Depth of a slice, mm.
+    #[inline(always)]
+    fn depth_mm(&self, slice: i64) -> f32 {
+        (slice as f32 + 0.5) * self.sampler.scene.frame.spacing.step_mm
+    }
+
+    /// Draws the polygons of a slab; returns whether any pixel of the tile is not opaque yet.
+    #[inline(always)]
+    fn draw_slab<S: Simd>(
+        &self,
+        simd: S,
+        tile: &mut Tile<S>,
+        slab: &Slab,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> bool {
+        let scene = self.sampler.scene;
+        let settings = &scene.settings;
+        let front_to_back = settings.slice_order == SliceOrder::FrontToBack;
+        let ends = scene.ends_early() && self.sampler.composite;
+        let mut open = !ends;
+        for polygon in slab.polygons.clone() {
+            let outline = &self.outlines[polygon as usize];
+            if outline.high.cmplt(tile.low).any() || outline.low.cmpgt(tile.high).any() {
+                open = true;
+                continue;
+            }
+            let corners = [
+                tile.low,
+                Vec2::new(tile.high.x, tile.low.y),
+                tile.high,
+                Vec2::new(tile.low.x, tile.high.y),
+            ];
+            // Edges that the tile crosses, or lies beyond.
+            let crossing = outline
+                .edges
+                .iter()
+                .filter(|e| !corners.iter().all(|c| e.contains(*c)));
+            let crossing: Vec<Edge> = crossing.copied().collect();
+            let is_empty = scene
+                .volume()
+                .macrocells
+                .is_empty_block(&tile.bounds(&self.depths(slab)));
+            for pixels in &mut tile.packets {
+                let mut covered = pixels.until.simd_ge(0.0);
+                for edge in &crossing {
+                    covered &= edge.contains_lanes(pixels.center[0], pixels.center[1]);
+                }
+                if is_empty {
+                    stats.samples_skipped +=
+                        u64::from(covered.to_bitmask().count_ones()) * u64::from(self.slices.slices_per_slab);
+                    open = true;
+                    continue;
+                }
+                if ends {
+                    let opaque = pixels.alpha.simd_gt(1.0 - MIN_TRANSMITTANCE);
+                    stats.samples_terminated += u64::from((covered & opaque).to_bitmask().count_ones());
+                    open |= (covered & !opaque).any_true();
+                    covered &= !opaque;
+                }
+                if covered.any_true() {
+                    let layer = self.fragment(simd, pixels, covered, slab.first, stats, fetch_policy);
+                    blend(simd, pixels, &layer, settings.blend_format, front_to_back);
+                }
+            }
+        }
+        open
+    }
+
+    /// Samples a slice at eight pixels; none if no sample has anything to shade. Values of
+    /// projections are added at once.
+    #[inline(always)]
+    fn fragment_sample<S: Simd>(
+        &self,
+        simd: S,
+        pixels: &mut PixelPacket<S>,
+        covered: mask32x8<S>,
+        depth_mm: f32,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> Option<FoundSamples<S>> {
+        let scene = self.sampler.scene;
+        let rays = pixels.rays;
+        let lanes = covered & pixels.until.simd_gt(depth_mm);
+        let mut p = pixels.origin + pixels.across * f32x8::splat(simd, depth_mm);
+        if scene.settings.jitter {
+            p = p + rays.direction * pixels.shift;
+        }
+        let (empty, cut_free) = scene.volume().macrocells.states_lanes(simd, p);
+        stats.samples_skipped += u64::from((lanes & empty).to_bitmask().count_ones());
+        let mut lanes = lanes & !empty;
+        if lanes.all_false() {
+            return None;
+        }
+        stats.samples_taken += u64::from(lanes.to_bitmask().count_ones());
+        let (mut share, mut near_cut) = (f32x8::splat(simd, 1.0), lanes & !lanes);
+        if !scene.cuts.is_empty() {
+            (lanes, share, near_cut) = self.retain(simd, lanes, &rays, &mut p);
+            if lanes.all_false() {
+                return None;
+            }
+        }
+        let with_gradients = self.sampler.sampler.has_gradients() && fetch_policy.fetches_gradients();
+        fetch_policy.lookups += 1;
+        let mut sample = self.sampler.sample_points(simd, p, lanes, with_gradients);
+        sample.cut_free = cut_free;
+        if !self.sampler.composite {
+            pixels.projection.insert(sample.value, sample.present);
+            return None;
+        }
+        // No sample of another slice is known here.
+        let unknown = lanes & !lanes;
+        let previous = PreviousSamples {
+            point: p - rays.direction * rays.step,
+            sampled: unknown,
+            present: unknown,
+            depth: f32x8::splat(simd, 0.0),
+        };
+        let value = sample.value;
+        self.sampler
+            .look_up_segments(simd, &mut sample, lanes, &previous, value);
+        let hit = self.sampler.to_be_shaded(&sample, lanes, near_cut);
+        if hit.all_false() {
+            return None;
+        }
+        let mut found = FoundSamples::nothing(simd, p, with_gradients);
+        found.insert(hit, &sample, p, share, near_cut, &previous);
+        Some(found)
+    }
+
+    /// The fragments of a slab: its slices composited front to back.
+    #[inline(always)]
+    fn fragment<S: Simd>(
+        &self,
+        simd: S,
+        pixels: &mut PixelPacket<S>,
+        covered: mask32x8<S>,
+        first: i64,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> SlabFragments<S> {
+        let zero = f32x8::splat(simd, 0.0);
+        let mut layer = SlabFragments {
+            color: Vec3x8::splat(simd, Vec3::ZERO),
+            transmittance: f32x8::splat(simd, 1.0),
+            any: covered & !covered,
+        };
+        for slice in 0..i64::from(self.slices.slices_per_slab) {
+            let covered = if self.sampler.scene.ends_early() {
+                covered & layer.transmittance.simd_ge(MIN_TRANSMITTANCE)
+            } else {
+                covered
+            };
+            let Some(found) = self.fragment_sample(
+                simd,
+                pixels,
+                covered,
+                self.depth_mm(first + slice),
+                stats,
+                fetch_policy,
+            ) else {
+                continue;
+            };
+            let shaded = self.sampler.shade_found(simd, pixels.rays, &found, fetch_policy);
+            let pass = shaded.transmittance(simd, pixels.length);
+            let visible = shaded.visible;
+            let weight = visible.select(layer.transmittance * (f32x8::splat(simd, 1.0) - pass), zero);
+            layer.color = layer.color + Vec3x8::select(visible, shaded.color, layer.color) * weight;
+            layer.transmittance = visible.select(layer.transmittance * pass, layer.transmittance);
+            layer.any |= visible;
+        }
+        layer
+    }
+
+    /// What the cut shapes leave of the paths of eight pixels: which have anything left, the
+    /// fraction of their path, and which are near a shape. The samples move to the middle of the
+    /// retained part.
+    #[inline(always)]
+    fn retain<S: Simd>(
+        &self,
+        simd: S,
+        lanes: mask32x8<S>,
+        rays: &ShadingRays<S>,
+        p: &mut Vec3x8<S>,
+    ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
+        let cuts = &self.sampler.scene.cuts;
+        let mut share = f32x8::splat(simd, 1.0);
+        let mut near_cut = lanes & !lanes;
+        for n in lanes_of(lanes.to_bitmask()) {
+            let (at, direction, step) = (p.lane(n), rays.direction.lane(n), rays.step[n]);
+            let distance_mm = cuts.signed_distance_mm(at);
+            if distance_mm.abs() <= 0.5 * step {
+                let retained = cuts.retained_part(at, direction, 0.0, step);
+                share[n] = retained.share;
+                p.set(n, at + direction * retained.at);
+            } else if distance_mm < 0.0 {
+                share[n] = 0.0;
+            }
+            near_cut.set(n, distance_mm <= self.sampler.margin_mm);
+        }
+        let left = lanes & share.simd_gt(0.0);
+        (left, share, left & near_cut)
+    }
+}
+
+/// Blends a layer over the pixels, or under them (front to back).
+#[inline(always)]
+fn blend<S: Simd>(
+    simd: S,
+    pixels: &mut PixelPacket<S>,
+    layer: &SlabFragments<S>,
+    format: BlendFormat,
+    front_to_back: bool,
+) {
+    if layer.any.all_false() {
+        return;
+    }
+    let one = f32x8::splat(simd, 1.0);
+    let alpha = one - layer.transmittance;
+    let (color, total) = if front_to_back {
+        let through = one - pixels.alpha;
+        (
+            pixels.color + layer.color * through,
+            pixels.alpha + alpha * through,
+        )
+    } else {
+        (
+            layer.color + pixels.color * layer.transmittance,
+            alpha + pixels.alpha * layer.transmittance,
+        )
+    };
+    let (color, total) = match format {
+        BlendFormat::Float32 => (color, total),
+        BlendFormat::Float16 => (
+            Vec3x8 {
+                x: rounded(simd, color.x),
+                y: rounded(simd, color.y),
+                z: rounded(simd, color.z),
+            },
+            rounded(simd, total),
+        ),
+    };
+    pixels.color = Vec3x8::select(layer.any, color, pixels.color);
+    pixels.alpha = layer.any.select(total, pixels.alpha);
+}
+
+/// Rounded to 16 bits.
+#[inline(always)]
+fn rounded<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
+    let (mut halves, mut back) = ([f16::ZERO; LANES], [0.0f32; LANES]);
+    halves.convert_from_f32_slice(v.as_slice());
+    halves.convert_to_f32_slice(&mut back);
+    f32x8::load_array(simd, back)
+}
