@@ -22,7 +22,7 @@ use crate::picture::StageTimes;
 use crate::prepare::{AssetKey, Assets, LoadOptions, PrepareOptions, Prepared};
 #[cfg(feature = "gpu")]
 use crate::render::Renderer;
-use crate::scene::Scene;
+use crate::scene::{Scene, SliceOrder};
 use crate::{Error, Result, Watch, cpu};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -55,6 +55,9 @@ pub struct EngineOptions {
     pub time_passes: bool,
 }
 
+/// Slices composited inside one fragment while a view moves.
+const DRAFT_SLAB: u32 = 32;
+
 /// The requested quality of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Quality {
@@ -62,7 +65,8 @@ pub enum Quality {
     #[default]
     Full,
     /// For a moving view: `scale` pixels of the view along each axis become one pixel of the
-    /// picture, the step is doubled if `scale` exceeds 1.5, and antialiasing is off.
+    /// picture, the step is doubled if `scale` exceeds 1.5, antialiasing is off, and slices are drawn
+    /// in slabs from front to back.
     Draft {
         /// Pixels of the view per pixel of the picture, along each axis.
         scale: f32,
@@ -79,6 +83,8 @@ impl Quality {
         draft.render.size = draft.render.size.map(|n| ((n as f32 / scale) as u32).max(16));
         draft.render.step = (draft.render.step * if scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
         draft.render.antialias = 1;
+        draft.render.slab = draft.render.slab.max(DRAFT_SLAB);
+        draft.render.slice_order = SliceOrder::FrontToBack;
         Cow::Owned(draft)
     }
 }
@@ -255,6 +261,15 @@ impl Engine {
         return self.gpu.as_ref().map(Renderer::volume_bytes);
         #[cfg(not(feature = "gpu"))]
         None
+    }
+
+    /// How voxels are interpolated, for reports.
+    pub fn filter(&self) -> &'static str {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &self.gpu {
+            return gpu.filter();
+        }
+        "trilinear, 32-bit weights"
     }
 
     /// Why the CPU computes although the options allow a GPU.

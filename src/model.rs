@@ -151,20 +151,25 @@
 //! a = 1 - 2^(-τ ℓ/Δ₀) = 1 - (1 - a₀)^(ℓ/Δ₀)
 //! ```
 //!
-//! Samples are composited front to back, premultiplied. A ray ends when less than 1/512 of the
-//! light passes (early ray termination). With a pre-integrated transfer function (Engel, Kraus,
-//! Ertl 2001), τ and colour are those of the segment between two samples.
+//! With a pre-integrated transfer function (Engel, Kraus, Ertl 2001), τ and colour are those of the
+//! segment between two samples.
 //!
-//! **Rays** have samples at t = (i + 1/2) Δ from the eye. **Slices** are view-aligned planes at
-//! depth (i + 1/2) Δ, so that a ray meets them at t = (i + 1/2) Δ / cos θ, θ being its angle to the
-//! view direction, and ℓ = Δ / cos θ. Both are anchored at the eye, so sample positions do not
-//! depend on the box. In an orthographic view the two coincide.
+//! Slices and rays are two algorithms. They share what a sample is (look-up, normal, light) and
+//! nothing else. In both, samples are anchored at the eye, so their positions do not depend on the
+//! box; in an orthographic view the two sets of samples coincide, and the pictures agree to
+//! rounding. In perspective they approximate the same integral, and their difference falls with the
+//! step.
 //!
-//! On a GPU, slices are drawn front to back in slabs of 32 (\[DDM06\] section 4 draws them back to
-//! front and one by one). A polygon covers the slab's sections of the proxy box, which is the box
-//! of the occupied cells; a fragment composites 32 samples. If the proxy is a closed mesh
-//! (\[RVD01\] section 2), its sections are filled contours, one slice at a time. On a CPU, slices
-//! are rays with the step Δ / cos θ.
+//! **Rays** have samples at t = (i + 1/2) Δ from the eye, composited front to back. A ray ends when
+//! less than 1/512 of the light passes (early ray termination).
+//!
+//! **Slices** are the sections of view-aligned planes at depths (i + 1/2) Δ with the proxy geometry:
+//! one polygon a slice, drawn back to front and composited "over", premultiplied (\[DDM06\] section
+//! 4), by the blend unit of a GPU or the CPU's own rasteriser. A ray at the angle θ to the view
+//! direction meets them at ℓ = Δ / cos θ. The proxy is the box of the occupied cells, or a closed
+//! mesh, whose sections are filled contours (\[RVD01\] section 2). Options, each held to the plain
+//! slices by a test: `slab` (slices composited inside a fragment), `slice_order` (front to back, with
+//! an early end), `blend_format` (16 bits).
 //!
 //! - Where a ray enters a surface, the point is found by bisection between two samples, and colour
 //!   and shading are evaluated there.
@@ -195,8 +200,14 @@
 //! |---|---|
 //! | uniform | δs |
 //! | threshold | δs/4 near the surface, else δs |
-//! | jacobian | δs / b (\[DS07\] eq 4), b a bound on \|J v\| over the cell |
+//! | jacobian | δs / \|J v\| at the sample, within δs/8 .. 8 δs (\[DS07\] eq 4) |
+//! | jacobian-bound | δs / b, b a bound on \|J v\| over the cell |
 //! | sphere | 0.9 \|f\| / b, at least δs / (4 max(1, b)); uniform steps through depth maps and within cuts |
+//!
+//! A ray is walked in pieces: intervals of δs or 8 δs from the eye, or single cells where a bound of
+//! the cell is used. Pieces that touch no occupied cell are skipped, the others are walked from end
+//! to end, hence skipping loses no change of sign. Between two samples of one sign, sphere steps
+//! look for a surface wherever their distances allow one.
 //!
 //! A depth map's f is the depth below a face minus the map's; a cube of six maps is ρ min \|f_i\|,
 //! ρ = 1 where all are positive, else -1 (\[DS07\] 6.1). It is not a distance, so rays take uniform

@@ -63,7 +63,8 @@ fn stack_of(
         accelerator: &incise::prepare::CpuOnly,
         watch: &Watch::NONE,
     };
-    stack::stack(&scene.deformation, &inputs, Vec::new(), Vec::new()).unwrap()
+    let placed = stack::stack(&scene.deformation, &inputs, Vec::new(), Vec::new()).unwrap();
+    (placed.stack, placed.cuts)
 }
 
 fn assets(scene: &Scene) -> Assets {

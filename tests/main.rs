@@ -27,8 +27,10 @@ mod nifti;
 mod parity;
 mod readers;
 mod scenes;
+mod settings;
 #[cfg(feature = "gpu")]
 mod shaders;
+mod slices;
 mod surfaces;
 #[cfg(unix)]
 mod trust;
@@ -125,7 +127,11 @@ fn main() {
     all.extend(trials!(scenes:
         every_scene_loads_and_comes_back, skipping_and_termination_change_nothing,
         halving_the_step_changes_little, what_holds_a_volume_is_kept, cuts_are_lit_alike_at_every_step,
-        slices_approach_rays, order_of_deformations_matters, left_is_left, empty_pictures_say_why));
+        order_of_deformations_matters, left_is_left, empty_pictures_say_why));
+    all.extend(trials!(settings:
+        every_setting_acts, settings_without_effect_are_named, every_setting_is_tested));
+    all.extend(trials!(slices:
+        slices_equal_rays_in_orthographic_views, slices_approach_rays, options_of_slices_are_bounded));
     all.extend(trials!(nifti:
         every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named,
         the_first_of_a_series_is_taken, the_bundled_head));
@@ -150,7 +156,7 @@ fn main() {
     all.extend(trials!(surfaces:
         distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things,
         a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid, narrow_pull_is_found_by_jacobian_steps,
-        three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface,
+        three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface, skipping_loses_no_hit,
         cut_models_are_what_they_say, surfaces_and_volumes_share_depth, volumes_inside_meshes,
         every_format_is_one_mesh, shared_meshes_load_or_say_why, depth_map_cube_shows_the_field));
     #[cfg(feature = "gpu")]

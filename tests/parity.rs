@@ -118,6 +118,10 @@ pub fn trials() -> Vec<Trial> {
         "editing::segments_and_shifts_agree_between_modes".into(),
         Box::new(crate::editing::segments_and_shifts_agree_between_modes),
     ));
+    all.push(gpu(
+        "slices::options_of_slices_agree".into(),
+        Box::new(crate::slices::options_of_slices_agree),
+    ));
     all.push(gpu("parity::eight_maps_agree".into(), Box::new(eight_maps_agree)));
     all.push(gpu(
         "parity::composition_agrees".into(),

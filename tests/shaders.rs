@@ -111,7 +111,15 @@ pub fn counterparts_exist() {
                 ("BISECTION_STEPS: i32 = 14", "BISECTION_STEPS: u32 = 14"),
                 ("MIN_SPHERE_STEP: f32 = 0.25", "MIN_SPHERE_STEP: f32 = 0.25"),
                 ("THRESHOLD_STEP: f32 = 0.25", "THRESHOLD_STEP: f32 = 0.25"),
+                ("MAX_JACOBIAN_STEP: f32 = 8.0", "MAX_JACOBIAN_STEP: f32 = 8.0"),
+                (
+                    "MIN_BLIND_STEP: f32 = 1.0 / 64.0",
+                    "MIN_BLIND_STEP: f32 = 1.0 / 64.0",
+                ),
+                ("SLOPE_MARGIN: f32 = 1.1", "SLOPE_MARGIN: f32 = 1.1"),
                 ("MIN_ADVANCE: f32 = 1e-6", "MIN_ADVANCE: f32 = 1e-6"),
+                ("MIN_CELL_ADVANCE: f32 = 2e-4", "MIN_CELL_ADVANCE: f32 = 2e-4"),
+                ("MIN_STEP: f32 = 1.0 / 65536.0", "MIN_STEP: f32 = 1.0 / 65_536.0"),
                 ("MAX_SAMPLES: u32 = 100000u", "MAX_SAMPLES: u32 = 100_000"),
             ][..],
         ),
@@ -219,11 +227,15 @@ const PAIRS: &[(&str, &str, &str)] = &[
         "shaders/lib/found.wgsl",
         "pixel_shift to_be_shaded shade_found=shaded_sample",
     ),
-    ("src/cpu/slices.rs", "shaders/slice.wgsl", "fragment_sample fragment"),
+    (
+        "src/cpu/slices.rs",
+        "shaders/slice.wgsl",
+        "fragment_sample fragment",
+    ),
     (
         "src/cpu/surface.rs",
         "shaders/lib/surface.wgsl",
-        "depth_in_boxes is_undeformed apply_cut_model sample=surface_sample trace step_length first_event bisect normal=surface_normal \
+        "depth_in_boxes is_undeformed apply_cut_model sample=surface_sample trace changes may_hide_a_surface step_length first_event bisect normal=surface_normal \
          light=surface_light",
     ),
     ("src/cpu/mod.rs", "shaders/lib/volume.wgsl", "sample_scene"),

@@ -85,7 +85,13 @@ fn linear(l: Mat3) -> PlacedMap {
 /// within a degree, with all step methods.
 pub fn deformed_sphere_is_the_ellipsoid() {
     let mesh = shapes::sphere(50.0, 300);
-    for steps in [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere] {
+    for steps in [
+        Steps::Uniform,
+        Steps::Threshold,
+        Steps::Jacobian,
+        Steps::JacobianBound,
+        Steps::Sphere,
+    ] {
         let mut scene = ball_scene();
         scene.surface.steps = steps;
         let assets = scenes::assets(&scene);
@@ -223,17 +229,25 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
             .filter(|(got, want)| !**got && **want)
             .count()
     };
-    let [uniform, threshold, jacobian, sphere] =
-        [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere].map(missed);
+    let [uniform, threshold, jacobian, bound, sphere] = [
+        Steps::Uniform,
+        Steps::Threshold,
+        Steps::Jacobian,
+        Steps::JacobianBound,
+        Steps::Sphere,
+    ]
+    .map(missed);
     println!(
-        "pixels missed of {}: uniform {uniform}, threshold {threshold}, Jacobian {jacobian}, sphere {sphere}",
+        "pixels missed of {}: uniform {uniform}, threshold {threshold}, Jacobian {jacobian}, Jacobian by a bound {bound}, sphere {sphere}",
         reference.iter().filter(|r| **r).count()
     );
     assert!(
         uniform > 20 && threshold > 5,
         "the scene is no test: {uniform}, {threshold}"
     );
-    assert_eq!((jacobian, sphere), (0, 0));
+    // The rate at a sample says nothing of a pull between two samples.
+    assert!(jacobian > 0);
+    assert_eq!((bound, sphere), (0, 0));
 }
 
 fn silhouette(picture: &Picture) -> Vec<bool> {
@@ -388,6 +402,100 @@ pub fn skipping_changes_no_surface() {
                 d.max / STEP
             );
             assert!(off == 0, "{name} {what}: {off} pixels, max {}", d.max / STEP);
+        }
+    }
+}
+
+/// Whatever the way of stepping and the length of the steps, skipping empty space loses no hit:
+/// balls, thin plates, something with fingers, and a bunny have the same pixels with and without it.
+pub fn skipping_loses_no_hit() {
+    let solid = |kind: &str, center: [f32; 3], size: [f32; 3], radius: Option<f32>, length: Option<f32>| {
+        ShapeSource {
+            kind: kind.into(),
+            join: Some("union".into()),
+            center: Some(center),
+            rotate: None,
+            size: (kind == "box").then_some(incise::scene::Size::Box(size)),
+            radius,
+            tube: None,
+            length,
+            period: None,
+            wall: None,
+        }
+    };
+    let fingers = (0..5).map(|n| {
+        let x = -36.0 + 18.0 * n as f32;
+        solid(
+            "cylinder",
+            [x, 2.0 * n as f32, 40.0],
+            [0.0; 3],
+            Some(4.0 + n as f32),
+            Some(60.0),
+        )
+    });
+    let palm = solid("box", [0.0, 0.0, -10.0], [90.0, 22.0, 50.0], None, None);
+    let plate = solid("box", [0.0; 3], [100.0, 0.8, 100.0], None, None);
+    let of = |shape: Vec<ShapeSource>| MeshSource {
+        shape,
+        ..MeshSource::default()
+    };
+    let bunny = scenes::load("bunny-twist");
+    let cases: [(&str, Scene); 4] = [
+        ("ball", ball_scene()),
+        (
+            "plate",
+            Scene {
+                mesh: vec![of(vec![plate])],
+                ..ball_scene()
+            },
+        ),
+        (
+            "hand",
+            Scene {
+                mesh: vec![of(std::iter::once(palm).chain(fingers).collect())],
+                ..ball_scene()
+            },
+        ),
+        ("bunny", bunny),
+    ];
+    for (name, mut scene) in cases {
+        scene.render.size = [200, 200];
+        scene.render.antialias = 1;
+        if name != "bunny" {
+            scene.camera.view = "30,20".parse().unwrap();
+            let mut twist = Deformation::new("twist");
+            twist.size = Some(incise::scene::Size::Cube(110.0));
+            scene.deformation = vec![twist];
+        }
+        let assets = scenes::assets(&scene);
+        for steps in [
+            Steps::Uniform,
+            Steps::Threshold,
+            Steps::Jacobian,
+            Steps::JacobianBound,
+            Steps::Sphere,
+        ] {
+            let mut counts = Vec::new();
+            for step in [0.5, 1.0, 2.0, 4.0] {
+                scene.surface.steps = steps;
+                scene.render.step = step;
+                let [with, without] = [true, false].map(|skip| {
+                    scene.render.empty_space_skipping = skip;
+                    let prepared = Prepared::new(&scene, &assets).unwrap();
+                    silhouette(&incise::cpu::render(&prepared).picture)
+                });
+                let apart = with.iter().zip(&without).filter(|(a, b)| a != b).count();
+                assert_eq!(apart, 0, "{name}, {steps:?} steps of {step}");
+                counts.push(with.iter().filter(|hit| **hit).count());
+            }
+            println!("{name}, {steps:?}: hits at steps of 1/2, 1, 2, 4: {counts:?}");
+            if steps == Steps::Sphere {
+                // Nor does a longer step.
+                assert!(
+                    counts.iter().all(|n| n.abs_diff(counts[0]) <= 2),
+                    "{name}: {counts:?}"
+                );
+            }
         }
     }
 }
@@ -560,12 +668,31 @@ pub fn volumes_inside_meshes() {
         path: path.to_str().unwrap().into(),
         ..Default::default()
     });
+    // A missing triangle changes little: the inside is where the winding number is above 1/2.
+    let prepared = Prepared::new(&scene, &assets).unwrap();
+    let notices = assets.library.notices();
+    assert!(
+        notices
+            .iter()
+            .any(|n| n.contains("open.off") && n.contains("not closed")),
+        "{notices:?}"
+    );
+    for (radius, inside) in [(20.0, true), (36.0, true), (44.0, false), (48.0, false)] {
+        for direction in [Vec3::X, Vec3::NEG_Y, Vec3::Z, Vec3::ONE.normalize()] {
+            let alpha = prepared.stack.source_and_alpha(direction * radius).1;
+            assert_eq!(alpha >= 0.5, inside, "{direction} at {radius}: {alpha}");
+        }
+    }
+    // A sheet encloses nothing.
+    open.triangles.truncate(4);
+    write("open.off", &open);
+    let assets = scenes::assets(&scene);
     let error = Prepared::new(&scene, &assets)
         .err()
         .map(|e| e.to_string())
         .unwrap_or_default();
     assert!(
-        error.contains("open.off") && error.contains("not closed"),
+        error.contains("open.off") && error.contains("encloses nothing"),
         "{error}"
     );
 }

@@ -3,8 +3,12 @@
 const BISECTION_STEPS: i32 = 14;
 const MIN_SPHERE_STEP: f32 = 0.25;
 const THRESHOLD_STEP: f32 = 0.25;
+const MAX_JACOBIAN_STEP: f32 = 8.0;
+const MIN_BLIND_STEP: f32 = 1.0 / 64.0;
+const SLOPE_MARGIN: f32 = 1.1;
 const MIN_ADVANCE: f32 = 1e-6;
-const MIN_STEP: f32 = 1.0 / 32768.0;
+const MIN_CELL_ADVANCE: f32 = 2e-4;
+const MIN_STEP: f32 = 1.0 / 65536.0;
 const MAX_SAMPLES: u32 = 100000u;
 
 const OUTSIDE: u32 = 0u;
@@ -85,6 +89,12 @@ fn surface_sample(ray: Ray, t: f32) -> SurfaceSample {
     );
 }
 
+// The parameter just beyond the end of a cell.
+fn advanced(t: f32) -> f32 {
+    let smallest = min(object.cell_mm.x, min(object.cell_mm.y, object.cell_mm.z));
+    return t + MIN_CELL_ADVANCE * smallest + MIN_ADVANCE * t;
+}
+
 // Follows a ray to the first hit; counts the samples in `taken`.
 fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     let inverse = 1.0 / ray.direction;
@@ -94,64 +104,111 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     let fars = max(low, high);
     let near = max(nears.x, max(nears.y, nears.z));
     let far = min(fars.x, min(fars.y, fars.z));
-    var none = SurfaceEvent(-1.0, OUTSIDE);
+    var event = SurfaceEvent(-1.0, OUTSIDE);
     if near > far {
-        return none;
+        return event;
     }
-    var t = max(near, 0.0);
-    let finest = MIN_STEP * (far - t);
-    var before = SurfaceSample(-1.0, 0.0, 0.0);
+    var interval = 0.0;
+    if object.steps == STEPS_UNIFORM || object.steps == STEPS_THRESHOLD {
+        interval = object.step_mm;
+    } else if object.steps == STEPS_JACOBIAN {
+        interval = MAX_JACOBIAN_STEP * object.step_mm;
+    }
+    let finest = MIN_STEP * length(vec3<f32>(object.cells) * object.cell_mm);
+    var walked_to = max(near, 0.0);
+    var next_interval = 0.0;
+    var before = SurfaceSample(FAR_AWAY, -1.0, -1.0);
+    var stop = -FAR_AWAY;
+    var slope = 1.0;
+    var longest_blind = FAR_AWAY;
     var count = 0u;
-    while t < far && count < MAX_SAMPLES {
+    var ended = false;
+    while !ended && event.t < 0.0 {
         // Two loops instead of a branch: each ray of a group searches for a sign change, then all
         // refine together.
-        var here = SurfaceSample(-1.0, 0.0, 0.0);
+        var here = before;
         var last = before;
         var changed = false;
-        while t < far && count < MAX_SAMPLES && !changed {
-            let cell = object_cell(ray.origin + ray.direction * t);
-            let c = textureLoad(object_cells, vec3<i32>(cell), 0);
-            if c.r > 0.5 {
-                t = max(leaves(cell, c.r, ray, inverse), t) + 1e-4 * object.step_mm + MIN_ADVANCE * t;
-                before.t = -1.0;
+        while !ended && !changed {
+            if count >= MAX_SAMPLES {
+                ended = true;
                 continue;
             }
+            if before.t >= stop {
+                if walked_to >= far {
+                    ended = true;
+                    continue;
+                }
+                let cell = object_cell(ray.origin + ray.direction * walked_to);
+                let c = textureLoad(object_cells, vec3<i32>(cell), 0);
+                if c.r > 0.5 {
+                    walked_to = advanced(max(leaves(cell, c.r, ray, inverse), walked_to));
+                    continue;
+                }
+                var begin = walked_to;
+                if interval > 0.0 {
+                    let number = max(floor(walked_to / interval), next_interval);
+                    next_interval = number + 1.0;
+                    begin = number * interval;
+                    stop = next_interval * interval;
+                } else {
+                    slope = max(c.g, 1e-3);
+                    stop = advanced(max(leaves(cell, 1.0, ray, inverse), walked_to));
+                }
+                walked_to = stop;
+                if before.t != begin {
+                    before = surface_sample(ray, begin);
+                    count += 1u;
+                }
+                longest_blind = FAR_AWAY;
+            }
+            let length = max(
+                min(step_length(ray, before, slope), longest_blind), max(MIN_ADVANCE * before.t, finest)
+            );
+            here = surface_sample(ray, min(before.t + length, stop));
             count += 1u;
-            here = surface_sample(ray, t);
             last = before;
+            changed = changes(before, here);
+            if !changed && object.steps == STEPS_SPHERE && may_hide_a_surface(before, here, slope)
+                && here.t - before.t > max(MIN_BLIND_STEP * object.step_mm / max(slope, 1.0), finest) {
+                longest_blind = 0.5 * (here.t - before.t);
+                continue;
+            }
+            longest_blind = FAR_AWAY;
             before = here;
-            changed = last.t >= 0.0 && (
-                (last.f > 0.0) != (here.f > 0.0) || (object.solid != 0u && last.cut > 0.0 && here.cut <= 0.0)
-            );
-            t += max(
-                step_length(here, max(c.g, 1e-3), leaves(cell, 1.0, ray, inverse)),
-                max(MIN_ADVANCE * t, finest),
-            );
         }
         if changed {
-            let event = first_event(ray, last, here);
-            if event.t >= 0.0 {
-                *taken = count;
-                return event;
-            }
+            event = first_event(ray, last, here);
         }
     }
     *taken = count;
-    if before.t >= 0.0 && before.t < far {
-        return first_event(ray, before, surface_sample(ray, far));
-    }
-    return none;
+    return event;
 }
 
-fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
+fn changes(a: SurfaceSample, b: SurfaceSample) -> bool {
+    return (a.f > 0.0) != (b.f > 0.0) || (object.solid != 0u && a.cut > 0.0 && b.cut <= 0.0);
+}
+
+fn may_hide_a_surface(a: SurfaceSample, b: SurfaceSample, slope: f32) -> bool {
+    return object.kind != IMPLICIT_DEPTH
+        && abs(a.f) + abs(b.f) < SLOPE_MARGIN * slope * (b.t - a.t);
+}
+
+fn step_length(ray: Ray, here: SurfaceSample, slope: f32) -> f32 {
     let even = object.step_mm;
-    let room = max(exit - here.t, 0.0) + 0.01 * even + MIN_ADVANCE * here.t;
     switch object.steps {
         case STEPS_UNIFORM: { return even; }
         case STEPS_THRESHOLD: {
             return select(even, even * THRESHOLD_STEP, abs(here.f) < object.threshold_mm);
         }
-        case STEPS_JACOBIAN: { return min(even / slope, room); }
+        case STEPS_JACOBIAN: {
+            var stretch = 1.0;
+            if object.rigid == 0u {
+                stretch = length(jet(ray.origin + ray.direction * here.t).d_source_d_deformed * ray.direction);
+            }
+            return even / clamp(stretch, 1.0 / MAX_JACOBIAN_STEP, MAX_JACOBIAN_STEP);
+        }
+        case STEPS_JACOBIAN_BOUND: { return even / slope; }
         default: {
             if object.kind == IMPLICIT_DEPTH {
                 return even;
@@ -160,7 +217,7 @@ fn step_length(here: SurfaceSample, slope: f32, exit: f32) -> f32 {
             if here.cut > 0.0 && here.f > 0.0 && object.solid != 0u {
                 return max(min(even, even / slope), shortest);
             }
-            return min(max(0.9 * abs(here.f) / slope, shortest), room);
+            return max(0.9 * abs(here.f) / slope, shortest);
         }
     }
 }

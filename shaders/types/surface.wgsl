@@ -19,7 +19,7 @@ struct SurfaceObject {
     // 0 hollow, 1 solid or thick.
     solid: u32,
     occupied_max: vec3<f32>,
-    // 0 uniform, 1 threshold, 2 Jacobian, 3 sphere.
+    // 0 uniform, 1 threshold, 2 Jacobian, 3 Jacobian by a bound, 4 sphere.
     steps: u32,
     color: vec3<f32>,
     highlight: f32,

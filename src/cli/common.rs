@@ -4,7 +4,7 @@ use super::arguments;
 use super::progress::TerminalProgress;
 use crate::files::OutputFile;
 use crate::files::path_text::{path_of, text_of};
-use crate::prepare::{Assets, LoadOptions};
+use crate::prepare::{Assets, IdleSetting, LoadOptions};
 use crate::scene::surface::CutModel;
 use crate::scene::{Camera, InsideMesh, Mode, Projection, Scene, View};
 use crate::volume::load::Origin;
@@ -235,6 +235,33 @@ impl Common {
                 .push(arguments::deformation(&text_of(Path::new(text)))?);
         }
         Ok(scene)
+    }
+
+    /// Checks that every option given has an effect on the picture.
+    ///
+    /// # Errors
+    /// The first option that has none, and why.
+    pub fn check_effects(&self, idle: &[IdleSetting]) -> Result<()> {
+        let given = [
+            (self.slab.is_some(), "--slab", "render.slab"),
+            (self.preset.is_some(), "--preset", "transfer.preset"),
+            (self.window.is_some(), "--window", "transfer.window"),
+            (self.level.is_some(), "--level", "transfer.level"),
+            (self.precompose.is_some(), "--precompose", "render.precompose"),
+            (self.iso.is_some(), "--iso", "surface.iso"),
+            (self.look.is_some(), "--look", "surface.look"),
+            (self.cut_model.is_some(), "--cut-model", "surface.model"),
+            (self.inside.is_some(), "--inside", "volume.inside"),
+        ];
+        for (_, option, key) in given.into_iter().filter(|(given, ..)| *given) {
+            if let Some(idle) = idle.iter().find(|idle| idle.key == key) {
+                return Err(Error::value(
+                    option,
+                    format!("has no effect here: {}", idle.reason),
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// A camera in another direction, without the zoom, target and roll of the scene's own camera.

@@ -6,10 +6,10 @@ use super::common::{Common, ModeName};
 use super::progress::TerminalProgress;
 use crate::compare::lab::{self, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
-use crate::compare::{Report, write_files};
+use crate::compare::{Report, SliceOptions, write_files};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct};
-use crate::scene::{Mode, Scene, View};
+use crate::scene::{BlendFormat, Mode, Scene, SliceOrder, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -24,6 +24,38 @@ enum CompareBackends {
     Gpu,
     /// The CPU.
     Cpu,
+}
+
+/// The order of slices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SliceOrderName {
+    BackToFront,
+    FrontToBack,
+}
+
+impl From<SliceOrderName> for SliceOrder {
+    fn from(name: SliceOrderName) -> Self {
+        match name {
+            SliceOrderName::BackToFront => Self::BackToFront,
+            SliceOrderName::FrontToBack => Self::FrontToBack,
+        }
+    }
+}
+
+/// The number format of blending.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BlendFormatName {
+    Float32,
+    Float16,
+}
+
+impl From<BlendFormatName> for BlendFormat {
+    fn from(name: BlendFormatName) -> Self {
+        match name {
+            BlendFormatName::Float32 => Self::Float32,
+            BlendFormatName::Float16 => Self::Float16,
+        }
+    }
 }
 
 /// Options as typed.
@@ -59,6 +91,15 @@ pub struct CompareArguments {
         conflicts_with = "mode"
     )]
     modes: Vec<ModeName>,
+    /// Slices composited inside one fragment, e.g. 1,8,32 (mode slice).
+    #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "slab")]
+    slabs: Vec<u32>,
+    /// Orders in which slices are drawn (mode slice).
+    #[arg(long, value_enum, value_name = "ORDER,...", value_delimiter = ',')]
+    slice_orders: Vec<SliceOrderName>,
+    /// Number formats in which slices are blended (mode slice).
+    #[arg(long, value_enum, value_name = "FORMAT,...", value_delimiter = ',')]
+    blend_formats: Vec<BlendFormatName>,
     /// Sampling distances in voxels, e.g. 0.5,1,2.
     #[arg(long, value_name = "STEP,...", value_delimiter = ',', conflicts_with = "step")]
     steps: Vec<f32>,
@@ -122,8 +163,9 @@ impl CompareArguments {
             plan.modes = vec![mode.into()];
         }
         if !self.modes.is_empty() {
-            plan.modes = once(&self.modes).into_iter().map(Mode::from).collect();
+            plan.modes = self.modes.iter().copied().map(Mode::from).collect();
         }
+        plan.slices = self.slices(SliceOptions::of(&plan.scene));
         if !self.steps.is_empty() {
             plan.steps = once(&self.steps);
         }
@@ -142,6 +184,28 @@ impl CompareArguments {
         plan.on_cpu = self.backend != CompareBackends::Gpu;
         plan.gpu_is_required = self.backend == CompareBackends::Gpu;
         Ok(plan)
+    }
+
+    /// Every combination of the options of slices; those not given are the scene's.
+    fn slices(&self, own: SliceOptions) -> Vec<SliceOptions> {
+        let counts = [
+            self.slabs.len(),
+            self.slice_orders.len(),
+            self.blend_formats.len(),
+        ]
+        .map(|n| n.max(1));
+        let all = (0..counts.iter().product()).map(|n: usize| SliceOptions {
+            slab: self.slabs.get(n % counts[0]).copied().unwrap_or(own.slab),
+            order: self
+                .slice_orders
+                .get(n / counts[0] % counts[1])
+                .map_or(own.order, |order| (*order).into()),
+            format: self
+                .blend_formats
+                .get(n / (counts[0] * counts[1]))
+                .map_or(own.format, |format| (*format).into()),
+        });
+        all.collect()
     }
 
     /// Checks that the folder can be written or created, and that no file of it is an input.

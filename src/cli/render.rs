@@ -8,7 +8,7 @@ use crate::export::dicom::{self, is_dicom_name};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct, memory};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
-use crate::prepare::Prepared;
+use crate::prepare::{Prepared, idle_settings};
 use crate::scene::Scene;
 use crate::volume::load::Origin;
 use crate::{Error, Result, Watch};
@@ -63,6 +63,7 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     })?;
     let preparing = |share| bar.set("preparing", share);
     let prepared = engine.prepare(&scene, &assets, &Watch::reporting(&preparing))?;
+    common.check_effects(&idle_settings(&prepared, &scene))?;
     common.report(assets.library.notices());
     let needs_stats = common.stats.is_some() || common.json;
     let rendering = |share| bar.set("rendering", share);
@@ -236,6 +237,7 @@ fn report(
         "samples": samples,
         "notices": notices,
         "maps": maps,
+        "tears": prepared.tears,
         "composition": composition,
         "macrocells": prepared.volume().macrocells.size.to_array(),
         "milliseconds": stage_entries,

@@ -44,6 +44,8 @@ pub struct Curve {
     pub mode: Mode,
     /// Backend.
     pub backend: String,
+    /// Options of slices that are not the default.
+    pub variant: String,
     /// In order of step, the coarsest first.
     pub points: Vec<CurvePoint>,
 }
@@ -60,12 +62,13 @@ pub fn curves(runs: &[Run], shown: &ViewKey) -> Vec<Curve> {
         };
         match curves
             .iter_mut()
-            .find(|c| (c.mode, &c.backend) == (run.mode, &run.backend))
+            .find(|c| (c.mode, c.backend.as_str(), c.variant.as_str()) == run.renderer())
         {
             Some(curve) => curve.points.push(point),
             None => curves.push(Curve {
                 mode: run.mode,
                 backend: run.backend.clone(),
+                variant: run.method.variant.clone(),
                 points: vec![point],
             }),
         }
@@ -83,6 +86,8 @@ pub struct RendererCost {
     pub mode: Mode,
     /// Backend.
     pub backend: String,
+    /// Options of slices that are not the default.
+    pub variant: String,
     /// The point at which its curve reaches the common error; none if even its coarsest step has a
     /// smaller error.
     pub at: Option<CurvePoint>,
@@ -115,6 +120,7 @@ pub fn equal_errors(runs: &[Run]) -> Vec<EqualError> {
             coarsest: usable(&c.points).next(),
             mode: c.mode,
             backend: c.backend,
+            variant: c.variant,
         };
         let entries: Vec<RendererCost> = curves.into_iter().map(entry).collect();
         // Curves that do not overlap have no common error.

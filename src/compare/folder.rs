@@ -1,6 +1,7 @@
 //! A comparison as a folder: pictures, differences, and the numbers as a page and as JSON and CSV.
 
 use super::curves::{EqualError, RendererCost, equal_errors};
+use super::method::explanation;
 use super::metrics::difference_picture;
 use super::report::{Encoded, Report, RunPair, VERSION};
 use super::run::{Run, mode_name, samples, stage_milliseconds};
@@ -77,6 +78,7 @@ impl Report {
                 "name": run.name,
                 "mode": run.mode,
                 "backend": run.backend,
+                "method": run.method,
                 "step_voxels": as_written(run.step),
                 "size": run.shown.size,
                 "camera": run.shown.camera,
@@ -121,7 +123,7 @@ impl Report {
         let at_equal_error = |e: &EqualError| {
             let entry = |entry: &RendererCost| {
                 json!({
-                    "mode": entry.mode, "backend": entry.backend,
+                    "mode": entry.mode, "backend": entry.backend, "variant": entry.variant,
                     "rendering_milliseconds": entry.at.map(|p| p.milliseconds), "step_voxels": entry.at.map(|p| p.step),
                 })
             };
@@ -147,13 +149,14 @@ impl Report {
             "runs": rows(false),
             "references": rows(true),
             "pairs": self.pairs.iter().zip(differences).map(pair).collect::<Vec<_>>(),
+            "explanation": explanation(&self.runs),
             "equal_error": equal.iter().map(at_equal_error).collect::<Vec<_>>(),
         })
     }
 
     fn runs_csv(&self, pictures: &[Encoded]) -> String {
         let stages = self.stage_names();
-        let columns = "name,mode,backend,step_voxels,width,height,camera,milliseconds,milliseconds_min,milliseconds_max,rendering_milliseconds,\
+        let columns = "name,mode,backend,variant,step_voxels,width,height,camera,milliseconds,milliseconds_min,milliseconds_max,rendering_milliseconds,\
                        rendering_milliseconds_min,rendering_milliseconds_max,repetitions,warm_up_milliseconds,samples_taken,samples_skipped,\
                        samples_terminated,volume_bytes,gradient_bytes,map_bytes,surface_bytes,peak_bytes,\
                        error_mean,error_max,error_rms,error_psnr_db,error_ssim,reference,picture";
@@ -165,6 +168,7 @@ impl Report {
                 run.name.clone(),
                 mode_name(run.mode).to_owned(),
                 run.backend.clone(),
+                run.method.variant.clone(),
                 run.step.to_string(),
             ];
             line.extend(run.shown.size.map(|n| n.to_string()));

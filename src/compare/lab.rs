@@ -80,8 +80,16 @@ pub fn run(
         for &size in &plan.sizes {
             let first = sweep.runs.len();
             for &mode in &plan.modes {
-                for &step in &plan.steps {
-                    sweep.time_backends(&plan.at(mode, step, size, camera))?;
+                let all = plan
+                    .slices
+                    .iter()
+                    .take(if mode == Mode::Slice { usize::MAX } else { 1 });
+                for options in all {
+                    for &step in &plan.steps {
+                        let mut scene = plan.at(mode, step, size, camera);
+                        options.apply(&mut scene);
+                        sweep.time_backends(&scene)?;
+                    }
                 }
             }
             if let Some(step) = plan.reference {
@@ -274,7 +282,9 @@ fn work(plan: &Plan, gpu: bool) -> f32 {
     let kinds = BTreeSet::from_iter(plan.modes.iter().map(|m| *m == Mode::Surface)).len();
     let references = plan.reference.map_or(0.0, |s| kinds as f32 / s);
     let pixels: f32 = plan.sizes.iter().copied().map(area).sum();
-    (pixels * plan.cameras.len() as f32 * (plan.modes.len() as f32 * per_pixel * repetitions + references))
+    let of_slices = plan.modes.iter().filter(|m| **m == Mode::Slice).count();
+    let renderers = plan.modes.len() + of_slices * plan.slices.len().saturating_sub(1);
+    (pixels * plan.cameras.len() as f32 * (renderers as f32 * per_pixel * repetitions + references))
         .max(f32::MIN_POSITIVE)
 }
 
@@ -359,7 +369,7 @@ pub fn pairs_of(runs: &[Run]) -> Vec<[usize; 2]> {
     let all = (0..runs.len()).flat_map(|a| (a + 1..runs.len()).map(move |b| [a, b]));
     let is_informative = |[a, b]: &[usize; 2]| {
         let (a, b) = (&runs[*a], &runs[*b]);
-        let renderers = a.step == b.step && (a.mode, &a.backend) != (b.mode, &b.backend);
+        let renderers = a.step == b.step && a.renderer() != b.renderer();
         a.shown == b.shown
             && if a.is_reference || b.is_reference {
                 a.is_reference != b.is_reference

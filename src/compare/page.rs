@@ -4,9 +4,10 @@
 //! opened offline.
 
 use super::curves::{self, Curve, CurvePoint, EqualError, MIN_ERROR};
+use super::method::explanation;
 use super::plot::{self, Bar, Dot, PlotAxis, PlotSeries, escaped, number};
 use super::report::{Encoded, Protocol, Report, VERSION};
-use super::run::{Run, ViewKey, mode_name, samples, stage_milliseconds};
+use super::run::{Run, ViewKey, renderer_name, samples, stage_milliseconds};
 use crate::scene::Mode;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -30,6 +31,7 @@ impl Report {
         if let Some(protocol) = &self.protocol {
             page.push_str(&protocol_text(protocol));
         }
+        page.push_str(&self.methods());
         if self.protocol.is_some() {
             page.push_str(&self.equal_table(equal, &views));
         }
@@ -101,6 +103,52 @@ impl Report {
         page
     }
 
+    /// How each renderer works, and where differences come from.
+    fn methods(&self) -> String {
+        let mut seen = Vec::new();
+        let mut rows = String::new();
+        for run in &self.runs {
+            let key = (run.renderer(), run.is_reference);
+            if seen.contains(&key) || run.method.samples.is_empty() {
+                continue;
+            }
+            seen.push(key);
+            let m = &run.method;
+            let name = renderer_name(run.renderer());
+            let name = if run.is_reference {
+                format!("reference ({name})")
+            } else {
+                name
+            };
+            rows.push_str(&format!("<tr><th>{}</th>", escaped(&name)));
+            let slab = m.slab.map_or_else(|| "–".to_owned(), |n| n.to_string());
+            for cell in [
+                m.samples,
+                m.order,
+                &slab,
+                m.blend_format,
+                m.filter,
+                m.light,
+                m.early_stop,
+            ] {
+                rows.push_str(&format!("<td class=\"text\">{}</td>", escaped(cell)));
+            }
+            rows.push_str("</tr>\n");
+        }
+        if rows.is_empty() {
+            return rows;
+        }
+        let reasons: String = explanation(&self.runs)
+            .iter()
+            .map(|reason| format!("{} ", escaped(reason)))
+            .collect();
+        format!(
+            "<h2>Methods</h2>\n<div class=\"wide\"><table>\n<tr><th>Renderer</th><th>Samples</th><th>Composition</th><th>Slab</th>\
+             <th>Blended in</th><th>Filter</th><th>Shading</th><th>Early stop</th></tr>\n{rows}</table></div>\n<p>{}</p>\n",
+            reasons.trim_end()
+        )
+    }
+
     /// Plots of all runs of one view.
     fn plots(&self, shown: &ViewKey, views: &[ViewKey], equal: &[EqualError]) -> String {
         let curves = curves::curves(&self.runs, shown);
@@ -124,7 +172,7 @@ impl Report {
         let mut text = format!("<h2>{}</h2>\n<div class=\"plots\">\n", escaped(&heading));
         let series = |dot: &dyn Fn(&CurvePoint) -> Dot| -> Vec<PlotSeries> {
             let one = |c: &Curve| PlotSeries {
-                name: format!("{} {}", mode_name(c.mode), c.backend),
+                name: renderer_name((c.mode, &c.backend, &c.variant)),
                 color: color_of(c.mode, c.backend == "cpu"),
                 dashed: c.backend != "cpu",
                 dots: c.points.iter().map(dot).collect(),
@@ -182,7 +230,7 @@ impl Report {
             } else {
                 String::new()
             };
-            format!("{} {}{step}", mode_name(run.mode), run.backend)
+            format!("{}{step}", renderer_name(run.renderer()))
         };
         let bar = |run: &&Run| Bar {
             name: plain_name(run),
@@ -239,9 +287,8 @@ impl Report {
                     (None, None) => "<td>–</td><td>–</td>".to_owned(),
                 };
                 text.push_str(&format!(
-                    "<tr><th>{} {}</th>{cells}</tr>\n",
-                    mode_name(entry.mode),
-                    escaped(&entry.backend)
+                    "<tr><th>{}</th>{cells}</tr>\n",
+                    escaped(&renderer_name((entry.mode, &entry.backend, &entry.variant)))
                 ));
             }
             text.push_str("</table></div>\n");

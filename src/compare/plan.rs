@@ -1,6 +1,7 @@
 //! The plan of a comparison: modes, steps, sizes, cameras and the step of the references; and
 //! checks that it can be carried out.
 
+use super::method::SliceOptions;
 use super::run::mode_name;
 use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
 use crate::scene::{Camera, Mode, Scene};
@@ -24,6 +25,8 @@ pub struct Plan {
     pub scene: Scene,
     /// Modes.
     pub modes: Vec<Mode>,
+    /// Options of slices, each of which is a renderer of its own.
+    pub slices: Vec<SliceOptions>,
     /// Steps, voxels (of the smallest spacing).
     pub steps: Vec<f32>,
     /// Sizes of pictures, pixels.
@@ -58,6 +61,7 @@ impl Plan {
     pub fn of(scene: Scene) -> Self {
         Self {
             modes: modes_of(&scene),
+            slices: vec![SliceOptions::of(&scene)],
             steps: vec![scene.render.step],
             sizes: vec![scene.render.size],
             cameras: vec![scene.camera.clone()],
@@ -86,6 +90,7 @@ impl Plan {
     /// pictures than fit into memory.
     pub fn check(&self, backends: usize) -> Result<()> {
         self.check_lists(backends)?;
+        self.check_renderers(backends)?;
         if let Some(mode) = self
             .modes
             .iter()
@@ -130,6 +135,39 @@ impl Plan {
             return Err(Error::value(
                 option,
                 "leaves nothing to compare; name at least one",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Checks that no mode is compared with itself: each is named once, and one mode alone with one
+    /// step on one backend has nothing to be compared with.
+    fn check_renderers(&self, backends: usize) -> Result<()> {
+        let repeated = (1..self.modes.len()).find(|n| self.modes[..*n].contains(&self.modes[*n]));
+        if let Some(n) = repeated {
+            return Err(Error::value(
+                format!("--modes {}", mode_name(self.modes[n])),
+                "is named twice; a mode is not compared with itself",
+            ));
+        }
+        let slices = self.modes.contains(&Mode::Slice);
+        if (1..self.slices.len()).any(|n| self.slices[..n].contains(&self.slices[n])) {
+            return Err(Error::value(
+                "--slabs, --slice-orders, --blend-formats",
+                "name the same slices twice; a renderer is not compared with itself",
+            ));
+        }
+        if self.slices.len() > 1 && !slices {
+            return Err(Error::value(
+                "--slabs, --slice-orders, --blend-formats",
+                "act on slices; add slice to --modes",
+            ));
+        }
+        let renderers = self.modes.len() * backends + if slices { self.slices.len() - 1 } else { 0 };
+        if renderers == 1 && self.steps.len() == 1 && self.reference.is_none() {
+            return Err(Error::value(
+                format!("--modes {}", mode_name(self.modes[0])),
+                "leaves one picture, which would be compared with itself; add a mode, a step, a backend or a reference",
             ));
         }
         Ok(())
@@ -231,6 +269,11 @@ impl Plan {
     /// plan varies.
     pub(super) fn name(&self, head: &str, scene: &Scene, names_step: bool) -> String {
         let mut name = head.to_owned();
+        if scene.render.mode == Mode::Slice && self.slices.len() > 1 {
+            let label = SliceOptions::of(scene).label();
+            name += if label.is_empty() { "" } else { " " };
+            name += &label;
+        }
         if names_step && self.steps.len() > 1 {
             name += &format!(" step {}", scene.render.step);
         }

@@ -1,5 +1,6 @@
 //! One renderer's picture of a scene with its cost: the unit of a comparison.
 
+use super::method::Method;
 use super::metrics::Difference;
 use crate::engine::{Engine, RenderRequest};
 use crate::files::memory;
@@ -110,6 +111,19 @@ impl ViewKey {
     }
 }
 
+impl Run {
+    /// Its renderer: two runs of one renderer differ in their step, size or camera only.
+    pub(super) fn renderer(&self) -> (Mode, &str, &str) {
+        (self.mode, &self.backend, &self.method.variant)
+    }
+}
+
+/// A renderer's name: mode, backend, and the options of slices that are not the default.
+pub(super) fn renderer_name((mode, backend, variant): (Mode, &str, &str)) -> String {
+    let gap = if variant.is_empty() { "" } else { " " };
+    format!("{} {backend}{gap}{variant}", mode_name(mode))
+}
+
 impl std::fmt::Display for ViewKey {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let what = if self.surface { "surfaces" } else { "volume" };
@@ -134,6 +148,8 @@ pub struct Run {
     pub mode: Mode,
     /// The backend: `cpu` or `gpu`.
     pub backend: String,
+    /// How it was made.
+    pub method: Method,
     /// Distance between samples in voxels (of the smallest spacing).
     pub step: f32,
     /// From the loaded scene to the picture.
@@ -186,6 +202,7 @@ pub fn run(
     let mut run = Run {
         name: name.to_owned(),
         backend: device.backend().to_owned(),
+        method: Method::of(scene, &prepared, engine.filter()),
         ..once(scene, &prepared, rendered, [before, all])
     };
     if let Some([volume, gradients]) = engine.gpu_volume_bytes() {
@@ -203,6 +220,7 @@ fn once(scene: &Scene, prepared: &Prepared, rendered: Rendered, [before, all]: [
         shown: ViewKey::of(scene),
         mode: scene.render.mode,
         backend: String::new(),
+        method: Method::default(),
         step: scene.render.step,
         milliseconds: Times::of(&[all]),
         rendering: Times::of(&[all - before]),

@@ -185,7 +185,7 @@ impl<T: Voxel> PacketSampler<'_, T> {
         sample.front = (previous.sampled & previous.present).select(last_value, sample.value);
         let unknown = lanes & sample.present & !previous.sampled;
         if unknown.any_true() {
-            let earlier = self.sample_points(simd, previous.point, unknown, false);
+            let earlier = self.sample_points_apart(simd, &previous.point, &unknown);
             sample.front = earlier.present.select(earlier.value, sample.front);
         }
         for n in lanes_of((lanes & sample.present).to_bitmask()) {

@@ -131,6 +131,21 @@ impl<'a, T: Voxel> PacketSampler<'a, T> {
         }
     }
 
+    /// As [`Self::sample_points`] without gradients, but not inlined: one copy for all samples that
+    /// are taken seldom, where a copy each would double the size of the program.
+    #[inline(never)]
+    pub(super) fn sample_points_apart<S: Simd>(
+        &self,
+        simd: S,
+        p: &Vec3x8<S>,
+        lanes: &mask32x8<S>,
+    ) -> SamplePacket<S> {
+        simd.vectorize(
+            #[inline(always)]
+            || self.sample_points(simd, *p, *lanes, false),
+        )
+    }
+
     /// The nearest of the volume's faces outside all maps: distances, mm, and normals out of the
     /// volume.
     #[inline(always)]

@@ -314,7 +314,7 @@ impl<T: Voxel> PacketSampler<'_, T> {
     ) -> mask32x8<S> {
         let mut undecided = near_cut;
         for _ in 0..CUT_LOOKBACK_STEPS {
-            let back = self.sample_points(simd, sampled - direction * way, undecided, false);
+            let back = self.sample_points_apart(simd, &(sampled - direction * way), &undecided);
             near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
             undecided &= !back.present;
             if !undecided.any_true() {
@@ -368,7 +368,7 @@ impl<T: Voxel> PacketSampler<'_, T> {
         let mut enters = lanes & front.sampled & !(front.present & front.depth.simd_ge(enough));
         let unknown = lanes & !front.sampled;
         if unknown.any_true() {
-            let before = self.sample_points(simd, front.point, unknown, false);
+            let before = self.sample_points_apart(simd, &front.point, &unknown);
             enters |= unknown & !(before.present & before.depth.simd_ge(enough));
         }
         if enters.any_true() {

@@ -10,10 +10,13 @@
 //! *Differences from the paper*:
 //! - Both sign changes within a step, the surface's and the cut's, are found and taken in their
 //!   order along the ray. The edge between them is sharp however long the step.
-//! - Jacobian steps divide by a bound on |J v| over the ray's current cell (`deform::lipschitz`)
-//!   instead of its value at the sample: a narrow pull between two samples is not stepped over.
-//! - Sphere steps: a distance of |f| divided by the same bound contains no surface. Inside a cut,
-//!   where the next hit is the cut's own surface, steps are even.
+//! - *Jacobian* steps are those of eq 4, δt = δs / |J v| at the sample, within [δs/8, 8 δs].
+//!   *Jacobian-bound* steps divide by a bound on |J v| over the ray's current cell
+//!   (`deform::lipschitz`) instead: a narrow pull between two samples is not stepped over.
+//! - *Sphere* steps: a distance of |f| divided by the same bound contains no surface. Where a step
+//!   is longer than that, both of its ends tell whether the surface may lie between them, and
+//!   samples are added until it cannot: no thin part is stepped over, however long the step. Inside
+//!   a cut, where the next hit is the cut's own surface, steps are even.
 //! - Empty cells are skipped: those emptied by a mask (\[DS07\] 6.2, with the distance to the
 //!   nearest non-empty cell in place of a distance field of the cut), and those that the field
 //!   itself shows to be far from its surface.
@@ -38,14 +41,22 @@ const BISECTION_STEPS: u32 = 14;
 const MIN_SPHERE_STEP: f32 = 0.25;
 /// Near the surface, threshold steps are this fraction of an even step.
 const THRESHOLD_STEP: f32 = 0.25;
-/// A ray advances by at least this fraction of its length; otherwise rounding could stop it at a
-/// cell border.
+/// Jacobian steps are at most this many even steps, and at least the reciprocal.
+const MAX_JACOBIAN_STEP: f32 = 8.0;
+/// Between two samples of one sign a surface is searched for down to this fraction of an even step.
+const MIN_BLIND_STEP: f32 = 1.0 / 64.0;
+/// Interpolated fields are slightly steeper than distances.
+const SLOPE_MARGIN: f32 = 1.1;
+/// A ray advances by at least this fraction of its length, and beyond a cell by this fraction of
+/// the cell; otherwise rounding could stop it at a cell border. Together they are less than the
+/// margin of a cell ([`crate::prepare::CellGrid`]).
 const MIN_ADVANCE: f32 = 1e-6;
-/// Steps are at least this fraction of a ray's path through an object's occupied box, however steep
-/// the deformation: finer than any picture needs.
-const MIN_STEP: f32 = 1.0 / 32_768.0;
-/// Most samples along one ray: three times as many as `MIN_STEP` allows, so that a ray ends
-/// whatever rounding does.
+const MIN_CELL_ADVANCE: f32 = 2e-4;
+/// Steps are at least this fraction of the diagonal of the object's box, however steep the
+/// deformation: finer than any picture needs.
+const MIN_STEP: f32 = 1.0 / 65_536.0;
+/// Most samples along one ray: more than `MIN_STEP` allows, so that a ray ends whatever rounding
+/// does.
 const MAX_SAMPLES: u32 = 100_000;
 
 /// A ray's hit on the surfaces.
@@ -76,6 +87,15 @@ struct SurfaceSample {
     f: f32,
     /// Positive in a cut.
     cut: f32,
+}
+
+impl SurfaceSample {
+    /// No sample: before every piece of a ray.
+    const NONE: Self = Self {
+        t: f32::INFINITY,
+        f: -1.0,
+        cut: -1.0,
+    };
 }
 
 /// The nearest surface along a ray; counts the samples taken in `samples`.
@@ -253,6 +273,11 @@ fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec
 }
 
 /// Follows a ray to the first hit of an object: its distance and side.
+///
+/// The ray is walked in pieces that depend on nothing but the ray and the object's grid of cells:
+/// intervals of equal length from the eye, or single cells. Only pieces that touch an occupied cell
+/// are walked, each from end to end. Hence the samples there are the same, bit for bit, whatever
+/// is skipped around them, and a sign change at the border of an empty cell is never lost.
 pub fn trace(
     scene: &Prepared,
     object: &SurfaceObject,
@@ -263,77 +288,107 @@ pub fn trace(
     let grid = &object.cells.grid;
     let (near, far) = grid.occupied.intersect_ray(origin, direction)?;
     let inverse = direction.recip();
-    let mut t = near.max(0.0);
-    let finest = MIN_STEP * (far - t);
-    let mut before: Option<SurfaceSample> = None;
-    let is_distance = object
-        .implicit
-        .as_ref()
-        .is_some_and(crate::mesh::Implicit::is_distance);
+    let steps = scene.surfaces.steps;
+    // Length of an interval from the eye; 0 where pieces are cells.
+    let interval = match steps {
+        Steps::Uniform | Steps::Threshold => object.step_mm,
+        Steps::Jacobian => MAX_JACOBIAN_STEP * object.step_mm,
+        Steps::JacobianBound | Steps::Sphere => 0.0,
+    };
+    let finest = MIN_STEP * (grid.size.as_vec3() * grid.cell_mm).length();
+    let advanced = |t: f32| t + MIN_CELL_ADVANCE * grid.cell_mm.min_element() + MIN_ADVANCE * t;
+    let mut walked_to = near.max(0.0);
+    let mut next_interval = 0.0f32;
+    let mut before = SurfaceSample::NONE;
+    let (mut stop, mut slope, mut longest_blind) = (f32::NEG_INFINITY, 1.0f32, f32::INFINITY);
     let mut count = 0;
-    while t < far && count < MAX_SAMPLES {
-        let p = origin + direction * t;
-        if let Some(exit) = grid.empty_until(p, origin, inverse) {
-            // A surface just inside the next cell lies between the cell's border and the first
-            // sample in it.
-            t = exit.max(t) + 1e-4 * object.step_mm + MIN_ADVANCE * t;
-            before = None;
-            continue;
+    let hit = loop {
+        if count >= MAX_SAMPLES {
+            break None;
         }
-        count += 1;
-        let here = sample(scene, object, origin, direction, t);
-        if let Some(before) = before
-            && let Some(hit) = first_event(scene, object, origin, direction, before, here)
-        {
-            *samples += u64::from(count);
-            return Some(hit);
+        if before.t >= stop {
+            // The next piece that touches an occupied cell.
+            if walked_to >= far {
+                break None;
+            }
+            let p = origin + direction * walked_to;
+            if let Some(exit) = grid.empty_until(p, origin, inverse) {
+                walked_to = advanced(exit.max(walked_to));
+                continue;
+            }
+            let begin;
+            if interval > 0.0 {
+                let number = (walked_to / interval).floor().max(next_interval);
+                next_interval = number + 1.0;
+                (begin, stop) = (number * interval, next_interval * interval);
+            } else {
+                slope = object.cells.slope[grid.index(p)].max(1e-3);
+                (begin, stop) = (
+                    walked_to,
+                    advanced(grid.leaves_cell(p, origin, inverse).max(walked_to)),
+                );
+            }
+            walked_to = stop;
+            if before.t != begin {
+                before = sample(scene, object, origin, direction, begin);
+                count += 1;
+            }
+            longest_blind = f32::INFINITY;
         }
-        before = Some(here);
-        t += step_length(scene, object, &here, p, is_distance, origin, inverse, t)
-            .max(MIN_ADVANCE * t)
+        let length = step_length(scene, object, &before, origin, direction, slope)
+            .min(longest_blind)
+            .max(MIN_ADVANCE * before.t)
             .max(finest);
-    }
-    // The last part of the ray, up to the end of the occupied box.
-    let hit = before.filter(|b| b.t < far).and_then(|b| {
-        first_event(
-            scene,
-            object,
-            origin,
-            direction,
-            b,
-            sample(scene, object, origin, direction, far),
-        )
-    });
+        let here = sample(scene, object, origin, direction, (before.t + length).min(stop));
+        count += 1;
+        if changes(object, &before, &here) {
+            if let Some(hit) = first_event(scene, object, origin, direction, before, here) {
+                break Some(hit);
+            }
+        } else if steps == Steps::Sphere {
+            // Two sign changes may hide between the samples: look between them.
+            let length = here.t - before.t;
+            let shortest = MIN_BLIND_STEP * object.step_mm / slope.max(1.0);
+            if may_hide_a_surface(object, &before, &here, slope) && length > shortest.max(finest) {
+                longest_blind = 0.5 * length;
+                continue;
+            }
+        }
+        longest_blind = f32::INFINITY;
+        before = here;
+    };
     *samples += u64::from(count);
     hit
 }
 
-/// Distance to the next sample.
-#[allow(clippy::too_many_arguments, reason = "the state of one ray")]
+/// Whether the surface, or the surface of a cut that shows, lies between two samples.
+fn changes(object: &SurfaceObject, a: &SurfaceSample, b: &SurfaceSample) -> bool {
+    (a.f > 0.0) != (b.f > 0.0) || (object.look.model != CutModel::Hollow && a.cut > 0.0 && b.cut <= 0.0)
+}
+
+/// Whether f may be zero between two samples of one sign, given a bound on its slope.
+fn may_hide_a_surface(object: &SurfaceObject, a: &SurfaceSample, b: &SurfaceSample, slope: f32) -> bool {
+    let is_distance = object
+        .implicit
+        .as_ref()
+        .is_some_and(crate::mesh::Implicit::is_distance);
+    is_distance && a.f.abs() + b.f.abs() < SLOPE_MARGIN * slope * (b.t - a.t)
+}
+
+/// Distance to the next sample; `slope` bounds |J v| in the cell.
 fn step_length(
     scene: &Prepared,
     object: &SurfaceObject,
     here: &SurfaceSample,
-    p: Vec3,
-    is_distance: bool,
     origin: Vec3,
-    inverse: Vec3,
-    t: f32,
+    direction: Vec3,
+    slope: f32,
 ) -> f32 {
     let even = object.step_mm;
-    let grid = &object.cells.grid;
-    let slope = || object.cells.slope[grid.index(p)].max(1e-3);
-    // Bounds hold within the cell; the next sample lies at most just beyond it.
-    let within = |length: f32| {
-        let cell = ((p - grid.origin) / grid.cell_mm)
-            .floor()
-            .clamp(Vec3::ZERO, (grid.size - 1).as_vec3());
-        let low = grid.origin + cell * grid.cell_mm;
-        let far = ((low - origin) * inverse)
-            .max((low + grid.cell_mm - origin) * inverse)
-            .min_element();
-        length.min((far - t).max(0.0) + 0.01 * even + MIN_ADVANCE * t)
-    };
+    let is_distance = object
+        .implicit
+        .as_ref()
+        .is_some_and(crate::mesh::Implicit::is_distance);
     match scene.surfaces.steps {
         Steps::Uniform => even,
         Steps::Threshold => {
@@ -343,17 +398,25 @@ fn step_length(
                 1.0
             }
         }
-        Steps::Jacobian => within(even / slope()),
+        Steps::Jacobian => {
+            let stretch = if object.rigid || scene.stack.is_empty() {
+                1.0
+            } else {
+                let jet = scene.stack.jet(origin + direction * here.t);
+                (jet.d_source_d_deformed * direction).length()
+            };
+            even / stretch.clamp(MAX_JACOBIAN_STEP.recip(), MAX_JACOBIAN_STEP)
+        }
+        Steps::JacobianBound => even / slope,
         Steps::Sphere if !is_distance => even,
         Steps::Sphere => {
-            let slope = slope();
             let shortest = MIN_SPHERE_STEP * even / slope.max(1.0);
             // In a cut the next hit may be the cut itself.
             let in_cut = here.cut > 0.0 && here.f > 0.0 && object.look.model != CutModel::Hollow;
             if in_cut {
                 even.min(even / slope).max(shortest)
             } else {
-                within((0.9 * here.f.abs() / slope).max(shortest))
+                (0.9 * here.f.abs() / slope).max(shortest)
             }
         }
     }

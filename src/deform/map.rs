@@ -282,6 +282,20 @@ impl DisplacementMap {
         self.detail().texels[[k, j, i]]
     }
 
+    /// D and alpha at map coordinates; from the definition where only a device has the texels.
+    pub fn sample_lazily(&self, x: Vec3) -> TexelSample {
+        match (self.detail.get(), &self.definition) {
+            (None, Some(definition)) => definition.sample(x),
+            _ => {
+                let t = self.fetch(x);
+                TexelSample {
+                    displacement: t.xyz() * self.scale,
+                    alpha: t.w,
+                }
+            }
+        }
+    }
+
     /// The identity.
     pub fn identity(size: [usize; 3]) -> Self {
         Self::from_fn(size, Storage::F16, |_| TexelSample {

@@ -155,6 +155,13 @@ impl PlacedMap {
         (self.world_from_stored * t.xyz(), t.w)
     }
 
+    /// Displacement, mm, and mask at map coordinates; needs no texels.
+    pub fn displacement_at(&self, x: Vec3) -> (Vec3, f32) {
+        let sample = self.map.sample_lazily(x);
+        let linear = Mat3::from(self.placement.world_from_map.matrix3);
+        (linear * sample.displacement, sample.alpha)
+    }
+
     /// J_G and the mask's gradient per mm at a point, or none outside the cube. J_G = I + A J_D
     /// A⁻¹.
     pub fn derivatives(&self, p: Vec3) -> Option<(Mat3, Vec3)> {
@@ -171,6 +178,24 @@ impl PlacedMap {
     /// The cube in the world.
     pub fn bounds_in_world(&self) -> Bounds {
         self.domain().transformed(&self.placement.world_from_map)
+    }
+}
+
+impl Stack {
+    /// The source of a point that map `n` has yet to be applied to, through all maps before it;
+    /// needs no texels.
+    pub fn source_before(&self, n: usize, p: Vec3) -> Vec3 {
+        let (mut p, mut here) = (p, p);
+        for map in self.maps[..n].iter().rev() {
+            let x = map.placement.map_from_world.transform_point3(here);
+            if !map.is_outside(x) {
+                p += map.displacement_at(x.clamp(Vec3::ZERO, Vec3::ONE)).0;
+            }
+            if !map.added {
+                here = p;
+            }
+        }
+        p
     }
 }
 

@@ -3,7 +3,7 @@
 use super::accelerator::{Accelerator, CpuOnly};
 use super::assets::Assets;
 use super::spacing::blend_mm;
-use super::stack::{self, Composition, StackInputs};
+use super::stack::{self, Composition, NamedStack, StackInputs};
 use super::{PrepareOptions, inside};
 use crate::deform::cut::CutShapes;
 use crate::deform::{Stack, StackAndCuts, Storage, invert};
@@ -18,6 +18,8 @@ use std::sync::Arc;
 pub struct Deformed {
     /// Maps, in order of application.
     pub stack: Stack,
+    /// The deformation that each map belongs to, by its name or kind.
+    pub names: Vec<String>,
     /// Cuts after all maps.
     pub cuts: CutShapes,
     /// The error of composing maps into one, if any were composed.
@@ -70,10 +72,12 @@ impl Deformed {
             Some(inside) => (inside.maps.clone(), inside.proxy.clone().filter(|_| undeformed)),
             None => (Vec::new(), None),
         };
-        let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, options.more_maps.to_vec())?;
+        let NamedStack { stack, names, cuts } =
+            stack::stack(&scene.deformation, &inputs, inside, options.more_maps.to_vec())?;
         let (stack, composition) = stack::composed(stack, &inputs, settings.precompose)?;
         Ok(Self {
             stack,
+            names,
             cuts,
             composition,
             proxy_mesh,
@@ -103,9 +107,11 @@ impl Deformed {
             min_ramp_mm,
         )?
         .map_or_else(Vec::new, |i| i.maps.clone());
-        let (stack, cuts) = stack::stack(&scene.deformation, &inputs, inside, Vec::new())?;
+        let NamedStack { stack, names, cuts } =
+            stack::stack(&scene.deformation, &inputs, inside, Vec::new())?;
         Ok(Self {
             stack,
+            names,
             cuts,
             composition: None,
             proxy_mesh: None,

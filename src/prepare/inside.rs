@@ -16,7 +16,7 @@
 use super::mesh_settings::{deformers, placement};
 use crate::Watch;
 use crate::deform::{DisplacementMap, Library, PlacedMap, Placement, Storage, TexelSample, invert};
-use crate::math::Bounds;
+use crate::math::{Bounds, DistanceGrid};
 use crate::mesh::deformer::{Deformer, apply_all};
 use crate::mesh::field::{FieldSettings, MeshField};
 use crate::mesh::{Mesh, load};
@@ -93,7 +93,7 @@ pub fn of_scene(
 /// Resolves the mesh that encloses a volume.
 ///
 /// # Errors
-/// A mesh that cannot be read or is not closed, or an invalid placement or deformer.
+/// A mesh that cannot be read or encloses nothing, or an invalid placement or deformer.
 pub fn resolve(
     library: &Library,
     inside: &InsideMesh,
@@ -106,13 +106,6 @@ pub fn resolve(
     let placed = placement(&mesh.bounds(), &inside.place).map_err(named)?;
     let mesh = mesh.transformed(&placed);
     let topology = mesh.topology();
-    if !topology.watertight {
-        let problem = format!(
-            "is not closed ({} open edges, {} with more than two triangles); the mesh of volume.inside must be closed",
-            topology.open_edges, topology.non_manifold_edges
-        );
-        return Err(Error::file(&path, problem));
-    }
     // Contours need triangles that face outwards.
     let mesh = if topology.flipped_edges > 0 {
         mesh.oriented().0
@@ -120,7 +113,17 @@ pub fn resolve(
         mesh
     };
     let deformers = deformers(&inside.deformer, &mesh.bounds()).map_err(named)?;
-    let mut maps = vec![mask(&path, &mesh, scene_box, min_ramp_mm, inside.invert)?];
+    let field = field_of(&path, &mesh, topology.watertight, scene_box)?;
+    if !topology.watertight {
+        library.notice(format!(
+            "{}: not closed ({} open edges, {} with more than two triangles); its inside is where the winding number is above 1/2, doubtful at {:.1} % of the points near the surface",
+            inside.path,
+            topology.open_edges,
+            topology.non_manifold_edges,
+            100.0 * field.doubtful
+        ));
+    }
+    let mut maps = vec![mask(&field.grid, &mesh, scene_box, min_ramp_mm, inside.invert)?];
     let mut moved = mesh.clone();
     if !deformers.is_empty() {
         // The edges of a large triangle stay straight, unlike the volume inside.
@@ -146,29 +149,44 @@ pub fn resolve(
     }
     Ok(InsideMeshMaps {
         maps,
-        proxy: (!inside.invert).then(|| Arc::new(moved)),
+        // Sections of a mesh with holes are not closed.
+        proxy: (!inside.invert && topology.watertight).then(|| Arc::new(moved)),
     })
+}
+
+/// The box of scene and mesh, and the edge of a texel of the mask over it.
+fn mask_box(mesh: &Mesh, scene_box: &Bounds) -> (Bounds, f32) {
+    let all = scene_box.union(&mesh.bounds());
+    let texel = all.size().max_element() / MASK;
+    (all.grown(texel), texel)
+}
+
+/// The mesh's signed distance. Nested walls of a closed mesh count by parity; the inside of a mesh
+/// with holes is where the generalised winding number is above 1/2.
+fn field_of(path: &std::path::Path, mesh: &Mesh, is_closed: bool, scene_box: &Bounds) -> Result<MeshField> {
+    let settings = FieldSettings {
+        cell_mm: Some(mask_box(mesh, scene_box).1),
+        parity: is_closed,
+        ..FieldSettings::default()
+    };
+    let field =
+        MeshField::new(mesh, &settings, &Watch::NONE).map_err(|problem| Error::file(path, problem))?;
+    if !is_closed && field.inside == 0.0 {
+        let problem = "encloses nothing: its winding number is nowhere above 1/2; close it, or turn its triangles outwards";
+        return Err(Error::file(path, problem));
+    }
+    Ok(field)
 }
 
 /// The mesh's distance as a mask over the boxes of the scene and the mesh.
 fn mask(
-    path: &std::path::Path,
+    field: &DistanceGrid,
     mesh: &Mesh,
     scene_box: &Bounds,
     min_ramp_mm: f32,
     invert: bool,
 ) -> Result<PlacedMap> {
-    let all = scene_box.union(&mesh.bounds());
-    let texel = all.size().max_element() / MASK;
-    let all = all.grown(texel);
-    let settings = FieldSettings {
-        cell_mm: Some(texel),
-        parity: true,
-        ..FieldSettings::default()
-    };
-    let field = MeshField::new(mesh, &settings, &Watch::NONE)
-        .map_err(|problem| Error::file(path, problem))?
-        .grid;
+    let (all, texel) = mask_box(mesh, scene_box);
     let size = (all.size() / texel).ceil().to_array().map(|n| n as usize + 1);
     let ramp = min_ramp_mm.max(2.0 * texel);
     let sense = if invert { -1.0 } else { 1.0 };

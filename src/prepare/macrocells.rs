@@ -288,6 +288,17 @@ impl Macrocells {
         ((c.z * self.size.y + c.y) * self.size.x + c.x) as usize
     }
 
+    /// The parameter at which a ray at `p` leaves its cell, whether or not that is empty.
+    pub fn leaves_cell(&self, p: Vec3, origin: Vec3, inverse_direction: Vec3) -> f32 {
+        let cell = ((p - self.origin) / self.cell_mm)
+            .floor()
+            .clamp(Vec3::ZERO, (self.size - 1).as_vec3());
+        let a = (self.origin + cell * self.cell_mm - origin) * inverse_direction;
+        let b = (self.origin + (cell + 1.0) * self.cell_mm - origin) * inverse_direction;
+        let far = a.max(b);
+        far.x.min(far.y).min(far.z)
+    }
+
     /// How far a ray at `p` can skip: none in an occupied cell, else the parameter at which it
     /// leaves the empty block around it.
     ///

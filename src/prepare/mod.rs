@@ -10,6 +10,7 @@ mod accelerator;
 mod assets;
 mod blank;
 mod deformed;
+mod idle;
 pub mod inside;
 mod macrocells;
 pub mod measure;
@@ -22,15 +23,18 @@ pub mod slices;
 mod spacing;
 pub mod stack;
 pub mod surface_cells;
+mod tears;
 mod visibility;
 mod volume;
 
 pub use accelerator::{Accelerator, CpuOnly};
 pub use assets::{AssetKey, Assets, LoadOptions};
 pub use deformed::Deformed;
+pub use idle::{IdleSetting, idle_settings};
 pub use macrocells::{CellGrid, CellState, Macrocells, VisibilityCriteria};
 pub use prepared::{Frame, Prepared};
 pub use spacing::SampleSpacing;
+pub use tears::Tear;
 pub use volume::VolumeObject;
 
 use crate::Watch;

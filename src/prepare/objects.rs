@@ -16,6 +16,7 @@ use crate::mesh::field::{MARGIN, cell_of};
 use crate::scene::Scene;
 use crate::scene::surface::{CutModel, Look, MeshSource, Representation, Steps, SurfaceSettings};
 use crate::{Result, Watch};
+use glam::Vec3;
 use std::sync::{Arc, OnceLock};
 
 /// How an object is rendered.
@@ -56,6 +57,13 @@ pub struct SurfaceObject {
     pub step_mm: f32,
     /// Empty space.
     pub cells: Arc<SurfaceCells>,
+}
+
+impl SurfaceObject {
+    /// Whether a point of the undeformed scene lies inside.
+    pub(super) fn contains(&self, source: Vec3) -> bool {
+        self.implicit.as_ref().is_some_and(|i| i.value(source) > 0.0)
+    }
 }
 
 /// All surfaces of a scene.

@@ -3,10 +3,12 @@
 use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
+use super::idle::{IdleSetting, stated_in_vain};
 use super::objects::Surfaces;
 use super::slices::SlicePolygons;
 use super::spacing::{SampleSpacing, blend_mm, cut_margin_mm};
 use super::stack::Composition;
+use super::tears::{Tear, tears};
 use super::volume::{Classifier, VolumeObject};
 use crate::Result;
 use crate::deform::Stack;
@@ -19,6 +21,9 @@ use crate::transfer::Blend;
 use crate::volume::{GradientFilter, GradientVolume};
 use glam::Vec3;
 use std::sync::Arc;
+
+/// A displacement on the face of a map's box that is not seen, voxels.
+const TEAR_TOLERANCE: f32 = 0.5;
 
 /// The constants of one picture.
 #[derive(Clone, Debug)]
@@ -57,6 +62,8 @@ pub struct Prepared<'a> {
     pub settings: RenderSettings,
     /// The factor on the opacities, if the scene sets one.
     pub(super) density: Option<f64>,
+    /// Matter torn at faces of deformations' boxes.
+    pub tears: Vec<Tear>,
     /// Notices for the user from resolving the scene, one sentence each.
     pub notices: Vec<String>,
     /// Preparation times.
@@ -104,6 +111,12 @@ impl<'a> Prepared<'a> {
         let volume = stages.time("macrocells", || {
             VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options)
         })?;
+        let tears = stages.time("tears", || {
+            let is_matter = |source: Vec3| {
+                volume.shows(source) || surfaces.objects.iter().any(|o| !o.rigid && o.contains(source))
+            };
+            tears(&deformed, &scene_box, TEAR_TOLERANCE * reference_mm, is_matter)
+        });
         let light = scene.light.clone();
         let to_light = to_light(&light, &view);
         let Deformed {
@@ -111,6 +124,7 @@ impl<'a> Prepared<'a> {
             cuts,
             composition,
             proxy_mesh,
+            ..
         } = deformed;
         let frame = Frame {
             view,
@@ -119,7 +133,7 @@ impl<'a> Prepared<'a> {
             proxy: volume.macrocells.occupied,
             to_light,
         };
-        Ok(Self {
+        let mut prepared = Self {
             volumes: vec![volume],
             surfaces,
             stack,
@@ -130,9 +144,17 @@ impl<'a> Prepared<'a> {
             light,
             settings,
             density: scene.transfer.density,
-            notices: composition.and_then(|c| c.notice()).into_iter().collect(),
+            notices: composition
+                .and_then(|c| c.notice())
+                .into_iter()
+                .chain(tears.iter().map(Tear::notice))
+                .collect(),
+            tears,
             stages,
-        })
+        };
+        let idle = stated_in_vain(&prepared, scene);
+        prepared.notices.extend(idle.iter().map(IdleSetting::notice));
+        Ok(prepared)
     }
 
     /// The polygons of the slices that can show anything.

@@ -70,6 +70,17 @@ impl Composition {
     }
 }
 
+/// Maps in order of application, and the cuts after them.
+#[derive(Default)]
+pub struct NamedStack {
+    /// The maps.
+    pub stack: Stack,
+    /// The deformation that each map belongs to, by its name or kind.
+    pub names: Vec<String>,
+    /// The cuts.
+    pub cuts: CutShapes,
+}
+
 /// The stack of a scene's deformations, with other maps applied before and after them, and the cuts
 /// after all of them.
 ///
@@ -80,7 +91,7 @@ pub fn stack(
     inputs: &StackInputs,
     first: Vec<PlacedMap>,
     more: Vec<PlacedMap>,
-) -> Result<(Stack, CutShapes)> {
+) -> Result<NamedStack> {
     let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
     let mut first_cut = enabled.len();
     if inputs.exact_cuts && more.is_empty() {
@@ -89,6 +100,7 @@ pub fn stack(
         }
     }
     let mut maps = first;
+    let mut names = vec!["volume.inside".to_owned(); maps.len()];
     let all = enabled[..first_cut].len().max(1) as f32;
     for (n, d) in enabled[..first_cut].iter().enumerate() {
         // Each deformation is an equal fraction of the whole.
@@ -112,14 +124,20 @@ pub fn stack(
                     "needs the cut to come after every deformation that moves material, and at most {MAX_CUTS} cuts in all; move it to the end"
                 )
             } else {
-                "cannot be combined with matrix, add, spare or mapping".to_owned()
+                "cannot be combined with matrix, add, spare, mapping or fade".to_owned()
             };
             return Err(Error::value(format!("{}: {name}", d.kind), problem));
         }
         maps.extend(place(d, inputs)?);
+        names.resize(maps.len(), d.name.clone().unwrap_or_else(|| d.kind.clone()));
     }
     maps.extend(more);
-    Ok((Stack::new(maps), cuts(&enabled[first_cut..], inputs)?))
+    names.resize(maps.len(), "map".to_owned());
+    Ok(NamedStack {
+        stack: Stack::new(maps),
+        names,
+        cuts: cuts(&enabled[first_cut..], inputs)?,
+    })
 }
 
 /// Settings that only an analytic shape supports: a mask ends with its box.
@@ -130,7 +148,7 @@ fn is_exact(deformation: &Deformation) -> bool {
     kinds::kind(&deformation.kind).is_ok_and(|k| k.shape.is_some())
         && !deformation.add
         && deformation.matrix.is_none()
-        && !["spare", "mapping"]
+        && !["spare", "mapping", "fade"]
             .iter()
             .any(|n| deformation.parameters.0.contains_key(*n))
 }

@@ -147,6 +147,23 @@ impl<'a> VolumeObject<'a> {
         Ok(object)
     }
 
+    /// Whether anything is shown at a point of the undeformed scene.
+    pub(super) fn shows(&self, source: Vec3) -> bool {
+        let p = self.voxel_from_world.transform_point3(source);
+        if !self.is_present || p.cmplt(Vec3::splat(-0.5)).any() || p.cmpgt(self.grid_size - 0.5).any() {
+            return false;
+        }
+        let nearest = p.round().clamp(Vec3::ZERO, self.grid_size - 1.0).as_uvec3();
+        let [i, j, k] = nearest.to_array().map(|n| n as usize);
+        let value = self.grid.value(i, j, k);
+        let is_hole = self.grid.has_holes && value < -1e-4;
+        !is_hole
+            && match self.iso {
+                Some(iso) => value >= iso,
+                None => self.table.lookup(value)[3] > 0.0,
+            }
+    }
+
     /// Where nothing of the volume is visible in its deformed box.
     fn empty_space(
         &self,

@@ -25,7 +25,7 @@ const VARIANTS: &[(&str, &str, u32)] = constants! {
     "FORMULA" FormulaKind {
         Pull, SplinePull, Wave, Twist, Bend, Taper, Shear, Bulge, Peel, Slab, Explode, Seam, Book, Knife, Retractor, Removal,
     }
-    "STEPS" Steps { Uniform, Threshold, Jacobian, Sphere }
+    "STEPS" Steps { Uniform, Threshold, Jacobian, JacobianBound, Sphere }
     "JOIN" CsgOperation { Union, Intersect, Subtract }
     "NORMAL_METHOD" NormalMethod { InverseTranspose, Tangent, Numeric }
 };

@@ -114,6 +114,18 @@ impl Renderer {
         self.context.strategy
     }
 
+    /// How voxels are interpolated, for reports.
+    pub fn filter(&self) -> &'static str {
+        match (
+            self.context.strategy.exact_filter,
+            self.context.device.is_software(),
+        ) {
+            (true, _) => "trilinear, in the shader, 24-bit weights",
+            (false, true) => "trilinear, by a software driver, 32-bit weights",
+            (false, false) => "trilinear, by the hardware, 8-bit weights",
+        }
+    }
+
     /// Sets the strategy of the next pictures and returns the previous one; a renderer starts with
     /// the one that suits its device.
     pub fn set_strategy(&mut self, strategy: Strategy) -> Strategy {

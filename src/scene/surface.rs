@@ -23,14 +23,16 @@ pub enum CutModel {
 
 /// Step length along a ray.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum Steps {
     /// Always the same.
     Uniform,
     /// Finer near the surface (Hadwiger et al. 2005).
     Threshold,
-    /// Even in the undeformed scene (\[DS07\] eq 4).
+    /// Even in the undeformed scene, by the deformation's rate at each sample (\[DS07\] eq 4).
     Jacobian,
+    /// As `jacobian`, by a bound on that rate between samples: no narrow part is stepped over.
+    JacobianBound,
     /// Sphere tracing: as far as the distance field and the deformation's Lipschitz bound allow
     /// (Hart 1996, in deformed space).
     #[default]

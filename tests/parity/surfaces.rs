@@ -66,7 +66,13 @@ pub(super) fn surface_options_agree() {
         let assets = scenes::assets(scene);
         agree(what, &Prepared::new(scene, &assets).unwrap());
     };
-    for steps in [Steps::Uniform, Steps::Threshold, Steps::Jacobian, Steps::Sphere] {
+    for steps in [
+        Steps::Uniform,
+        Steps::Threshold,
+        Steps::Jacobian,
+        Steps::JacobianBound,
+        Steps::Sphere,
+    ] {
         let mut scene = small("bunny-twist");
         scene.surface.steps = steps;
         check(&format!("{steps:?} steps"), &scene);

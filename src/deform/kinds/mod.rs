@@ -221,6 +221,8 @@ pub struct FieldContext<'a> {
     pub progress: f32,
     /// Extent of the box, mm.
     pub size_mm: Vec3,
+    /// Ratio of the map's cube to the box.
+    pub cube_scale: f32,
     /// Texels of the map along the axes; one where it does not vary.
     pub grid: [usize; 3],
     /// Largest texel edge along the axes that vary, mm.
@@ -468,6 +470,7 @@ impl Kind {
                 values,
                 progress,
                 size_mm,
+                cube_scale: self.cube_scale,
                 grid,
                 texel_mm,
                 ramp_mm,

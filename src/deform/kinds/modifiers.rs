@@ -1,10 +1,10 @@
 //! Modifiers available to every kind: spared labels and cylindrical coordinates.
 
-use super::{Backward, Field, FieldContext, FieldInputs, Setting, SettingFormat};
-use crate::Result;
+use super::{Backward, Field, FieldContext, FieldInputs, Setting, SettingFormat, forward_numerically};
 use crate::deform::Arguments;
 use crate::math::DistanceGrid;
 use crate::math::smoothstep;
+use crate::{Error, Result};
 use glam::{Affine3A, Vec3, Vec3Swizzles};
 use std::f32::consts::TAU;
 use std::sync::Arc;
@@ -26,11 +26,18 @@ pub(super) const SETTINGS: &[Setting] = &[
         form: SettingFormat::Choice(&["none", "cylindrical"]),
         about: "none, or cylindrical: the kind's x runs around the box's z axis, its y along it, its z outwards",
     },
+    Setting {
+        name: "fade",
+        form: SettingFormat::Number,
+        about: "width over which the displacement fades towards the faces of the box, mm; 0 by default",
+    },
 ];
 
 /// Whether the settings make a map vary along all axes.
 pub fn vary_everywhere(settings: &Arguments) -> bool {
-    settings.0.contains_key("spare") || settings.0.contains_key("mapping")
+    ["spare", "mapping", "fade"]
+        .iter()
+        .any(|name| settings.0.contains_key(*name))
 }
 
 /// The field with the modifiers requested by the settings.
@@ -46,6 +53,25 @@ pub(super) fn apply(
             size_mm: context.size_mm,
             radius: context.half().x.min(context.half().y),
         });
+    }
+    if let Some(fade_mm) = inputs.settings.number("fade")? {
+        let half = context.half() * context.cube_scale;
+        if !(0.0..=half.max_element()).contains(&fade_mm) {
+            return Err(Error::value(
+                "fade",
+                format!(
+                    "{fade_mm} is outside 0 to {} mm, half the box",
+                    half.max_element()
+                ),
+            ));
+        }
+        if fade_mm > 0.0 {
+            field = Box::new(Faded {
+                inner: field,
+                half,
+                fade_mm,
+            });
+        }
     }
     if let Some(labels) = inputs.settings.whole("spare")? {
         let distance = inputs.library.label_distance(inputs.settings, "spare", &labels)?;
@@ -121,6 +147,32 @@ impl Field for Cylindrical {
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
         self.inner.forward(self.unrolled(q)).map(|u| self.rolled(u))
+    }
+}
+
+/// A displacement that fades towards the faces of its box, so that it tears nothing there.
+struct Faded {
+    inner: Box<dyn Field>,
+    /// Half the extent of the map's cube, mm.
+    half: Vec3,
+    fade_mm: f32,
+}
+
+impl Field for Faded {
+    fn backward(&self, q: Vec3) -> Backward {
+        let inner = self.inner.backward(q);
+        let inside = self.half - q.abs();
+        let weight: f32 = (0..3)
+            .map(|axis| smoothstep(0.0, self.fade_mm.min(self.half[axis]), inside[axis]))
+            .product();
+        Backward {
+            source: q + (inner.source - q) * weight,
+            ..inner
+        }
+    }
+
+    fn forward(&self, q: Vec3) -> Option<Vec3> {
+        forward_numerically(self, q)
     }
 }
 

@@ -1,0 +1,278 @@
+//! Settings that have no effect on a picture, and why: a scene's are named in a notice, an option's
+//! are refused.
+
+use super::objects::Stage;
+use super::prepared::Prepared;
+use crate::deform::kinds;
+use crate::scene::surface::{Steps, SurfaceSettings};
+use crate::scene::{Camera, Light, Mode, Projection, RenderSettings, Scene, SliceOrder};
+use crate::transfer::{Blend, TransferSettings};
+use serde::Serialize;
+use toml::Value;
+
+/// A setting without effect.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct IdleSetting {
+    /// Its section and key, as in a scene file.
+    pub key: &'static str,
+    /// Why it has no effect here, as the end of a sentence.
+    pub reason: &'static str,
+}
+
+impl IdleSetting {
+    /// A notice for the user.
+    pub fn notice(&self) -> String {
+        format!("{} has no effect here: {}", self.key, self.reason)
+    }
+}
+
+const NO_VOLUME: &str = "it acts on volumes (mode slice or raycast)";
+const NO_SURFACE: &str = "no surface is shown";
+const NO_RAYS: &str = "no surface is shown by rays through a distance field";
+const NOT_SLICES: &str = "it acts in mode slice";
+const PROJECTION: &str = "a projection (MIP, MinIP, average) is not shaded";
+
+/// Every setting that has no effect on a picture, whatever its value.
+pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
+    let settings = &prepared.settings;
+    let mut all = Vec::new();
+    let mut unless = |acts: bool, keys: &[&'static str], reason: &'static str| {
+        if !acts {
+            all.extend(keys.iter().map(|key| IdleSetting { key, reason }));
+        }
+    };
+    let volume = settings.mode != Mode::Surface && prepared.volume().is_present;
+    let composite = prepared.volume().blend == Blend::Composite;
+    let surfaces = !prepared.surfaces.objects.is_empty();
+    let rays = prepared.surfaces.objects.iter().any(|o| o.implicit.is_some());
+    unless(
+        volume,
+        &[
+            "render.normals",
+            "render.gradient",
+            "render.cut_faces",
+            "render.iso",
+            "render.iso_light",
+            "render.preintegrated",
+            "render.jitter",
+            "render.early_termination",
+            "light.two_sided",
+            "light.specular",
+            "light.shininess",
+            "transfer.preset",
+            "transfer.points",
+            "transfer.window",
+            "transfer.level",
+            "transfer.blend",
+            "transfer.density",
+            "transfer.gradient_opacity",
+            "transfer.own_colors",
+            "volume.inside",
+        ],
+        NO_VOLUME,
+    );
+    if volume {
+        unless(
+            composite,
+            &[
+                "render.normals",
+                "render.gradient",
+                "render.cut_faces",
+                "render.iso",
+                "render.iso_light",
+                "render.preintegrated",
+                "render.early_termination",
+                "transfer.gradient_opacity",
+            ],
+            PROJECTION,
+        );
+        volume_settings(prepared, composite, &mut unless);
+    }
+    unless(
+        volume && settings.mode == Mode::Slice,
+        &["render.slab", "render.slice_order", "render.blend_format"],
+        NOT_SLICES,
+    );
+    unless(
+        volume && prepared.is_lit() || surfaces,
+        &[
+            "light.follows_camera",
+            "light.direction",
+            "light.ambient",
+            "light.diffuse",
+        ],
+        "nothing is shaded",
+    );
+    unless(
+        volume || rays,
+        &["render.empty_space_skipping"],
+        "nothing is sampled along rays",
+    );
+    unless(
+        prepared.stack.maps().len() > 1,
+        &["render.precompose"],
+        "it acts on two deformations or more",
+    );
+    unless(
+        scene
+            .deformation
+            .iter()
+            .any(|d| d.enabled && kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some())),
+        &["render.exact_cuts"],
+        "the scene has no removal",
+    );
+    unless(
+        prepared.frame.view.projection == Projection::Perspective,
+        &["camera.field_of_view"],
+        "it acts in perspective",
+    );
+    surface_settings(prepared, scene, surfaces, rays, &mut unless);
+    all
+}
+
+/// What depends on how a volume is shown.
+fn volume_settings(
+    prepared: &Prepared,
+    composite: bool,
+    unless: &mut impl FnMut(bool, &[&'static str], &'static str),
+) {
+    let settings = &prepared.settings;
+    let is_iso = prepared.volume().iso.is_some();
+    if composite {
+        unless(
+            settings.mode != Mode::Slice || settings.slice_order == SliceOrder::FrontToBack,
+            &["render.early_termination"],
+            "slices from back to front have no early end",
+        );
+        unless(
+            prepared.is_lit() || prepared.uses_gradient_opacity(),
+            &["render.gradient"],
+            "no gradient is needed without shading",
+        );
+        unless(
+            prepared.is_lit(),
+            &["light.two_sided", "light.specular", "light.shininess"],
+            "the volume is not shaded",
+        );
+        unless(
+            !prepared.cuts.is_empty() || !prepared.stack.is_empty(),
+            &["render.cut_faces"],
+            "nothing is cut",
+        );
+        unless(
+            is_iso,
+            &["render.iso_light"],
+            "it acts on the iso-surface of render.iso",
+        );
+        unless(
+            !is_iso,
+            &["render.preintegrated", "transfer.gradient_opacity"],
+            "the iso-surface of render.iso is opaque",
+        );
+    } else {
+        unless(
+            false,
+            &[
+                "light.two_sided",
+                "light.specular",
+                "light.shininess",
+                "render.blend_format",
+                "render.slice_order",
+            ],
+            PROJECTION,
+        );
+    }
+    unless(
+        prepared.volume().grid.colors.is_some(),
+        &["transfer.own_colors"],
+        "the volume has no colours of its own",
+    );
+}
+
+/// What depends on which surfaces are shown, and how.
+fn surface_settings(
+    prepared: &Prepared,
+    scene: &Scene,
+    surfaces: bool,
+    rays: bool,
+    unless: &mut impl FnMut(bool, &[&'static str], &'static str),
+) {
+    unless(
+        surfaces,
+        &[
+            "surface.look",
+            "surface.color",
+            "surface.inside_color",
+            "surface.cut_color",
+            "surface.model",
+            "surface.thickness",
+            "surface.resolution",
+        ],
+        NO_SURFACE,
+    );
+    unless(rays, &["surface.steps", "surface.cut_skipping"], NO_RAYS);
+    unless(
+        rays && prepared.surfaces.steps == Steps::Threshold,
+        &["surface.threshold"],
+        "it acts with steps = \"threshold\"",
+    );
+    let in_two_stages = prepared
+        .surfaces
+        .objects
+        .iter()
+        .any(|o| matches!(o.stage, Stage::Both(_)));
+    unless(
+        in_two_stages || !rays && surfaces,
+        &["surface.two_stage"],
+        "it needs a mesh from a file, neither thick nor a depth map, that a deformation reaches",
+    );
+    unless(
+        in_two_stages,
+        &["surface.seam"],
+        "nothing is rendered in two stages (surface.two_stage)",
+    );
+    unless(
+        prepared.settings.mode == Mode::Surface
+            && scene.volume.is_some()
+            && scene.mesh.iter().all(|m| m.hidden),
+        &["surface.iso"],
+        "it acts in mode surface on a volume without other surfaces",
+    );
+}
+
+/// The settings of a scene that differ from their defaults, by section and key.
+fn changed(scene: &Scene) -> Vec<String> {
+    fn of<T: Serialize>(section: &str, own: &T, default: &T) -> Vec<String> {
+        let table = |v: &T| match Value::try_from(v) {
+            Ok(Value::Table(table)) => table,
+            _ => toml::Table::new(),
+        };
+        let default = table(default);
+        table(own)
+            .into_iter()
+            .filter(|(key, value)| default.get(key) != Some(value))
+            .map(|(key, _)| format!("{section}.{key}"))
+            .collect()
+    }
+    let mut all = of("render", &scene.render, &RenderSettings::default());
+    all.extend(of("light", &scene.light, &Light::default()));
+    all.extend(of("surface", &scene.surface, &SurfaceSettings::default()));
+    all.extend(of("camera", &scene.camera, &Camera::default()));
+    all.extend(of("transfer", &scene.transfer, &TransferSettings::default()));
+    if scene.volume.as_ref().is_some_and(|v| v.inside.is_some()) {
+        all.push("volume.inside".into());
+    }
+    all
+}
+
+/// The settings that a scene states and that have no effect on its picture.
+pub(super) fn stated_in_vain(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
+    let changed = changed(scene);
+    let mut found: Vec<IdleSetting> = Vec::new();
+    for idle in idle_settings(prepared, scene) {
+        if changed.iter().any(|key| key == idle.key) && !found.iter().any(|f| f.key == idle.key) {
+            found.push(idle);
+        }
+    }
+    found
+}

@@ -1,0 +1,102 @@
+//! Tears: where a map still displaces matter on a face of its box. Beyond the face nothing is
+//! displaced, hence what is visible there is torn ([`crate::model`], "Displacement maps").
+//!
+//! A kind's displacement does not vanish on every face (a bend moves the upper end of its box); such
+//! a face belongs into empty space. Every face is tested at a grid of points, on both sides.
+
+use super::deformed::Deformed;
+use crate::deform::PlacedMap;
+use crate::math::Bounds;
+use glam::Vec3;
+use serde::Serialize;
+
+/// Points along an edge of a face.
+const POINTS: usize = 17;
+/// The faces of a box, in the order -x, +x, -y, +y, -z, +z.
+const FACES: [&str; 6] = ["-x", "+x", "-y", "+y", "-z", "+z"];
+
+/// Visible matter that is torn at a face of a deformation's box.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Tear {
+    /// The deformation, by its name or kind.
+    pub deformation: String,
+    /// The face, along the box's own axes.
+    pub face: &'static str,
+    /// How far the two sides are torn apart, at most, mm.
+    pub amount_mm: f32,
+}
+
+impl Tear {
+    /// A notice for the user.
+    pub fn notice(&self) -> String {
+        format!(
+            "{}: tears at the {} face of its box, by up to {:.1} mm; enlarge the box, move that face out of the matter, or fade the deformation towards its faces (fade = {:.0})",
+            self.deformation,
+            self.face,
+            self.amount_mm,
+            self.amount_mm.max(1.0).ceil()
+        )
+    }
+}
+
+/// The tears of a deformation. `is_matter` tells whether a point of the undeformed scene shows
+/// anything; displacements up to `tolerance_mm` are not seen.
+pub(super) fn tears(
+    deformed: &Deformed,
+    scene_box: &Bounds,
+    tolerance_mm: f32,
+    is_matter: impl Fn(Vec3) -> bool,
+) -> Vec<Tear> {
+    let maps = deformed.stack.maps();
+    let mut found: Vec<Tear> = Vec::new();
+    for (n, map) in maps.iter().enumerate() {
+        let moves = map.map.has_displacement();
+        if !moves
+            || deformed
+                .stack
+                .deformed_bounds(scene_box)
+                .intersection(&map.bounds_in_world())
+                .is_empty()
+        {
+            continue;
+        }
+        // A group of added maps moves points together; its members are tested one by one.
+        let source = |p: Vec3| deformed.stack.source_before(n, p);
+        for (face, name) in FACES.iter().enumerate() {
+            let amount_mm = amount_on(map, face, tolerance_mm, &|outside, inside| {
+                is_matter(source(outside)) || is_matter(source(inside))
+            });
+            if amount_mm > tolerance_mm {
+                found.push(Tear {
+                    deformation: deformed.names[n].clone(),
+                    face: name,
+                    amount_mm,
+                });
+            }
+        }
+    }
+    found
+}
+
+/// The largest displacement on a face, mm, where it separates matter; `separates` takes the points
+/// that appear outside and inside of the face.
+fn amount_on(map: &PlacedMap, face: usize, tolerance_mm: f32, separates: &dyn Fn(Vec3, Vec3) -> bool) -> f32 {
+    let axis = face / 2;
+    let mut largest = 0.0f32;
+    for n in 0..POINTS * POINTS {
+        let [u, v] = [n % POINTS, n / POINTS].map(|i| i as f32 / (POINTS - 1) as f32);
+        let mut x = Vec3::ZERO;
+        x[axis] = (face % 2) as f32;
+        (x[(axis + 1) % 3], x[(axis + 2) % 3]) = (u, v);
+        let (displacement_mm, alpha) = map.displacement_at(x);
+        let amount_mm = displacement_mm.length();
+        if alpha < 0.5 || amount_mm <= tolerance_mm.max(largest) {
+            continue;
+        }
+        let p = map.placement.world_from_map.transform_point3(x);
+        if separates(p, p + displacement_mm) {
+            largest = amount_mm;
+        }
+    }
+    largest
+}

@@ -1,0 +1,136 @@
+//! Slices against rays: two renderers that share what a sample is and nothing else.
+
+use crate::closed_forms::picture;
+use crate::metrics::{STEP, difference};
+use crate::scenes::{assets, load};
+use incise::prepare::{Assets, Prepared};
+use incise::scene::{BlendFormat, Mode, Projection, Scene, SliceOrder};
+
+/// Scenes with maps, cuts, holes and both kinds of volumes.
+const SCENES: [&str; 6] = [
+    "head-peel",
+    "head-quadrant",
+    "head-lift",
+    "head-slabs",
+    "teddy-seam",
+    "tomato-slices-2",
+];
+
+/// A scene without the end at opaque pixels, which only rays have.
+fn without_early_end(name: &str) -> (Scene, Assets) {
+    let mut scene = load(name);
+    scene.render.size = [160, 160];
+    scene.render.antialias = 1;
+    scene.render.early_termination = false;
+    let assets = assets(&scene);
+    (scene, assets)
+}
+
+/// In an orthographic view slices and rays take the same samples: their pictures agree to rounding
+/// at every step.
+pub fn slices_equal_rays_in_orthographic_views() {
+    for name in SCENES {
+        let (mut scene, assets) = without_early_end(name);
+        scene.camera.projection = Projection::Orthographic;
+        for step in [2.0, 1.0, 0.5] {
+            scene.render.step = step;
+            let [slices, rays] = [Mode::Slice, Mode::Raycast].map(|mode| {
+                scene.render.mode = mode;
+                picture(&Prepared::new(&scene, &assets).unwrap())
+            });
+            let d = difference(&slices, &rays).unwrap();
+            println!("{name}, step {step}: mean {:.5}/255", d.mean / STEP);
+            assert!(d.mean <= 0.05 * STEP, "{name}, step {step}: {d:?}");
+        }
+    }
+}
+
+/// In perspective slices and rays take different samples of the same integral: their difference
+/// falls by at least 1.7 with every halving of the step, until it is below 0.05/255.
+pub fn slices_approach_rays() {
+    for name in SCENES {
+        let (mut scene, assets) = without_early_end(name);
+        assert_eq!(scene.camera.projection, Projection::Perspective);
+        let means = [1.0, 0.5, 0.25, 0.125].map(|step| {
+            scene.render.step = step;
+            let [slices, rays] = [Mode::Slice, Mode::Raycast].map(|mode| {
+                scene.render.mode = mode;
+                picture(&Prepared::new(&scene, &assets).unwrap())
+            });
+            difference(&slices, &rays).unwrap().mean / STEP
+        });
+        println!("{name}: slices against rays at steps 1, 1/2, 1/4, 1/8: {means:.4?}/255");
+        assert!(means[0] > 0.05, "{name}: the scene is no test");
+        for pair in means.windows(2).filter(|pair| pair[0] > 0.05) {
+            assert!(pair[1] <= 0.05 || pair[0] >= 1.7 * pair[1], "{name}: {means:.4?}");
+        }
+        assert!(means[3] <= 0.05, "{name}: {means:.4?}");
+    }
+}
+
+/// Slabs and drawing from front to back change a picture by rounding, and by what an early end
+/// leaves out; blending in 16 bits by its rounding.
+pub fn options_of_slices_are_bounded() {
+    let (scene, assets) = without_early_end("head-peel");
+    let with = |change: &dyn Fn(&mut Scene)| {
+        let mut scene = scene.clone();
+        scene.render.mode = Mode::Slice;
+        change(&mut scene);
+        picture(&Prepared::new(&scene, &assets).unwrap())
+    };
+    let plain = with(&|_| ());
+    let case = |name: &str, bound: f64, change: &dyn Fn(&mut Scene)| {
+        let other = with(change);
+        let d = difference(&plain, &other).unwrap();
+        println!(
+            "{name}: mean {:.5}/255, max {:.3}/255",
+            d.mean / STEP,
+            d.max / STEP
+        );
+        assert!(d.max > 0.0, "{name} changes nothing");
+        assert!(d.mean <= bound * STEP, "{name}: {d:?}");
+    };
+    case("slab 8", 1e-3, &|s| s.render.slab = 8);
+    case("slab 32", 1e-3, &|s| s.render.slab = 32);
+    case("front to back", 1e-3, &|s| {
+        s.render.slice_order = SliceOrder::FrontToBack
+    });
+    case("front to back, early end", 0.5, &|s| {
+        s.render.slice_order = SliceOrder::FrontToBack;
+        s.render.early_termination = true;
+    });
+    case("16 bits", 0.5, &|s| s.render.blend_format = BlendFormat::Float16);
+}
+
+/// The same options on the GPU.
+#[cfg(feature = "gpu")]
+pub fn options_of_slices_agree() {
+    use crate::parity::with_renderer;
+    use incise::Watch;
+    let (mut scene, assets) = without_early_end("head-peel");
+    scene.render.mode = Mode::Slice;
+    scene.transfer.preset = Some("mr-default".into());
+    for slab in [1, 8, 32] {
+        for order in [SliceOrder::BackToFront, SliceOrder::FrontToBack] {
+            for format in [BlendFormat::Float32, BlendFormat::Float16] {
+                for early in [false, true] {
+                    scene.render.slab = slab;
+                    (scene.render.slice_order, scene.render.blend_format) = (order, format);
+                    scene.render.early_termination = early;
+                    let prepared = Prepared::new(&scene, &assets).unwrap();
+                    let by_cpu = picture(&prepared);
+                    let by_gpu = with_renderer(|r| r.render(&prepared, false, &Watch::NONE).unwrap()).picture;
+                    let d = difference(&by_cpu, &by_gpu).unwrap();
+                    let bound = if format == BlendFormat::Float16 { 0.5 } else { 0.1 };
+                    let what = format!("slab {slab}, {order:?}, {format:?}, early end {early}");
+                    println!(
+                        "{what}: mean {:.4}/255, max {:.2}/255",
+                        d.mean / STEP,
+                        d.max / STEP
+                    );
+                    assert!(d.mean <= bound * STEP && d.within_4 >= 0.999, "{what}: {d:?}");
+                }
+            }
+        }
+    }
+}
