@@ -154,8 +154,18 @@ const ACTS: &[(&str, &str, &str, bool)] = &[
     (VOLUME, "transfer.window", "300.0", true),
     (VOLUME, "transfer.level", "300.0", true),
     (SLICES, "transfer.density", "0.2", true),
-    (VOLUME, "transfer.points", "[{ value = 0.0, color = [1.0, 0.0, 0.0], opacity = 0.0 }, { value = 300.0, color = [0.0, 1.0, 0.0], opacity = 0.9 }]", true),
-    (VOLUME, "transfer.gradient_opacity", "[{ magnitude = 0.0, factor = 0.0 }, { magnitude = 300.0, factor = 1.0 }]", true),
+    (
+        VOLUME,
+        "transfer.points",
+        "[{ value = 0.0, color = [1.0, 0.0, 0.0], opacity = 0.0 }, { value = 300.0, color = [0.0, 1.0, 0.0], opacity = 0.9 }]",
+        true,
+    ),
+    (
+        VOLUME,
+        "transfer.gradient_opacity",
+        "[{ magnitude = 0.0, factor = 0.0 }, { magnitude = 300.0, factor = 1.0 }]",
+        true,
+    ),
     (COLORS, "transfer.own_colors", "false", true),
     (VOLUME, "transfer.blend", "\"mip\"", true),
 ];
@@ -237,7 +247,10 @@ pub fn every_setting_acts() {
                 "{key} = {value} changes no sample: {a:?}"
             );
         }
-        let idle = after.notices.iter().find(|n| n.contains("has no effect here") && n.starts_with(key));
+        let idle = after
+            .notices
+            .iter()
+            .find(|n| n.contains("has no effect here") && n.starts_with(key));
         assert_eq!(idle, None, "{key} = {value} acts");
     }
 }
@@ -245,7 +258,11 @@ pub fn every_setting_acts() {
 pub fn settings_without_effect_are_named() {
     for (scene, key, value) in IDLE {
         let [before, after] = [None, Some((*key, *value))].map(|change| rendered(&with(scene, change)));
-        let named = |r: &Rendered| r.notices.iter().any(|n| n.starts_with(&format!("{key} has no effect here")));
+        let named = |r: &Rendered| {
+            r.notices
+                .iter()
+                .any(|n| n.starts_with(&format!("{key} has no effect here")))
+        };
         assert!(named(&after), "{key} = {value}: {:?}", after.notices);
         assert!(!named(&before), "{key} is not stated");
         assert!(before.picture == after.picture, "{key} = {value} has an effect");

@@ -105,9 +105,6 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     let near = max(nears.x, max(nears.y, nears.z));
     let far = min(fars.x, min(fars.y, fars.z));
     var event = SurfaceEvent(-1.0, OUTSIDE);
-    if near > far {
-        return event;
-    }
     var interval = 0.0;
     if object.steps == STEPS_UNIFORM || object.steps == STEPS_THRESHOLD {
         interval = object.step_mm;
@@ -122,7 +119,9 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
     var slope = 1.0;
     var longest_blind = FAR_AWAY;
     var count = 0u;
-    var ended = false;
+    // No early return for a ray that misses: llvmpipe of Mesa 22.3 crashes on a return in front of
+    // nested loops.
+    var ended = near > far;
     while !ended && event.t < 0.0 {
         // Two loops instead of a branch: each ray of a group searches for a sign change, then all
         // refine together.

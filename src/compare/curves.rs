@@ -209,6 +209,7 @@ mod tests {
         Curve {
             mode,
             backend: "cpu".to_owned(),
+            variant: String::new(),
             points: steps.iter().map(point).collect(),
         }
     }

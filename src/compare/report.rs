@@ -200,6 +200,7 @@ pub(super) mod tests {
                 samples_terminated: 3,
             }),
             backend: "cpu".to_owned(),
+            method: Default::default(),
             step: 0.5,
             notices: Vec::new(),
         }

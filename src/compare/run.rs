@@ -370,6 +370,7 @@ pub(super) mod tests {
             },
             mode,
             backend: backend.to_owned(),
+            method: Default::default(),
             step,
             milliseconds: Times::of(&[2.0 * ms]),
             rendering: Times::of(&[ms]),
