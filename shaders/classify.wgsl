@@ -146,7 +146,119 @@ fn texels_within(k: u32, b: Box) -> NodeBounds {
     return all;
 }
 
+// A box in the map coordinates of a cylinder around a box of the cube, grown by `texels`; as
+// Cylinder::range in src/deform/mapping.rs. Empty if it lies outside the cylinder.
+struct CylinderRange {
+    u: Box,
+    outside: bool,
+}
+
+fn cylinder_range(k: u32, cube: Box, texels: f32) -> CylinderRange {
+    let low = (cube.low.xy - 0.5) * maps[k].box_mm.xy;
+    let high = (cube.high.xy - 0.5) * maps[k].box_mm.xy;
+    let texel = texels / max(maps[k].size - 1.0, vec3<f32>(1.0));
+    let nearest = clamp(vec2<f32>(0.0), low, high);
+    let farthest = max(abs(low), abs(high));
+    let radius_mm = vec2<f32>(
+        max(length(nearest) - texel.z * maps[k].radius_mm, 0.0),
+        length(farthest) + texel.z * maps[k].radius_mm,
+    );
+    var turn = vec2<f32>(0.0, 1.0);
+    if !(low.x <= 0.0 && high.x >= 0.0 && high.y >= 0.0) {
+        let a = turn_of(low);
+        let b = turn_of(high);
+        let c = turn_of(vec2<f32>(low.x, high.y));
+        let d = turn_of(vec2<f32>(high.x, low.y));
+        turn = vec2<f32>(min(min(a, b), min(c, d)) - texel.x, max(max(a, b), max(c, d)) + texel.x);
+        if turn.x < 0.0 || turn.y > 1.0 {
+            turn = vec2<f32>(0.0, 1.0);
+        }
+    }
+    let height = vec2<f32>(cube.low.z - texel.y, cube.high.z + texel.y);
+    return CylinderRange(
+        Box(
+            vec3<f32>(turn.x, max(height.x, 0.0), radius_mm.x / maps[k].radius_mm),
+            vec3<f32>(turn.y, min(height.y, 1.0), min(radius_mm.y / maps[k].radius_mm, 1.0)),
+        ),
+        height.x < 0.0 || height.y > 1.0 || radius_mm.y > maps[k].radius_mm,
+    );
+}
+
+// Smallest and largest of cos over a range of angles.
+fn cosine_range(angles: vec2<f32>) -> vec2<f32> {
+    let a = cos(angles.x);
+    let b = cos(angles.y);
+    let whole = angles.y - angles.x >= TURN;
+    let top = floor(angles.y / TURN) > floor(angles.x / TURN) || whole;
+    let bottom = floor(angles.y / TURN - 0.5) > floor(angles.x / TURN - 0.5) || whole;
+    return vec2<f32>(select(min(a, b), -1.0, bottom), select(max(a, b), 1.0, top));
+}
+
+fn product_range(a: vec2<f32>, b: vec2<f32>) -> vec2<f32> {
+    let all = vec4<f32>(a.x * b, a.y * b);
+    return vec2<f32>(min(min(all.x, all.y), min(all.z, all.w)), max(max(all.x, all.y), max(all.z, all.w)));
+}
+
+// A box around the vectors a (sin, cos) for lengths a and angles in ranges.
+fn vectors(lengths: vec2<f32>, angles: vec2<f32>) -> Box {
+    let x = product_range(lengths, cosine_range(angles - 0.25 * TURN));
+    let y = product_range(lengths, cosine_range(angles));
+    return Box(vec3<f32>(x.x, y.x, 0.0), vec3<f32>(x.y, y.y, 0.0));
+}
+
+fn sine_within_quarter(angle: f32) -> f32 {
+    return select(sin(angle), sign(angle), abs(angle) >= 0.25 * TURN);
+}
+
+// A box around the displacements, world mm, of points of a cylinder whose D lies between two bounds.
+fn cylinder_displacements(k: u32, u: Box, low: vec3<f32>, high: vec3<f32>) -> Box {
+    let radius = vec2<f32>(u.low.z, u.high.z) * maps[k].radius_mm;
+    let outward = vectors(
+        vec2<f32>(max(low.z * maps[k].radius_mm, -radius.y), high.z * maps[k].radius_mm),
+        vec2<f32>(u.low.x + low.x, u.high.x + high.x) * TURN,
+    );
+    let half = vec2<f32>(low.x, high.x) * 0.5 * TURN;
+    let reach = vec2<f32>(2.0 * sine_within_quarter(half.x), 2.0 * sine_within_quarter(half.y));
+    let around = vectors(
+        vec2<f32>(
+            min(reach.x * radius.x, reach.x * radius.y), max(reach.y * radius.x, reach.y * radius.y)
+        ),
+        vec2<f32>(u.low.x, u.high.x) * TURN + half + 0.25 * TURN,
+    );
+    let height = maps[k].box_mm.z;
+    let local = Box(
+        outward.low + around.low + vec3<f32>(0.0, 0.0, low.y * height),
+        outward.high + around.high + vec3<f32>(0.0, 0.0, high.y * height),
+    );
+    let linear = world_from_local(k);
+    let middle = linear * ((local.low + local.high) * 0.5);
+    let size = absolute(linear) * ((local.high - local.low) * 0.5);
+    return Box(middle - size, middle + size);
+}
+
+// As affine_enclosure, for a map laid round an axis: no bound by slopes is known.
+fn cylinder_enclosure(k: u32, b: Box) -> AffineEnclosure {
+    let range = cylinder_range(k, transformed(maps[k].map_from_world, b), 0.01);
+    if is_empty(range.u) {
+        return no_displacement();
+    }
+    let texels = texels_within(k, range.u);
+    var m = no_displacement();
+    m.all = cylinder_displacements(k, range.u, texels.low.xyz * maps[k].scale, texels.high.xyz * maps[k].scale);
+    m.mask = vec2<f32>(texels.low.w, texels.high.w);
+    if range.outside {
+        m.all = Box(min(m.all.low, vec3<f32>(0.0)), max(m.all.high, vec3<f32>(0.0)));
+        m.mask.y = 1.0;
+    }
+    m.at_center = (m.all.low + m.all.high) * 0.5;
+    m.remainder = (m.all.high - m.all.low) * 0.5;
+    return m;
+}
+
 fn affine_enclosure(k: u32, b: Box) -> AffineEnclosure {
+    if maps[k].radius_mm > 0.0 {
+        return cylinder_enclosure(k, b);
+    }
     // A hundredth of a texel as a margin for rounding.
     let texel = 0.01 / max(maps[k].size, vec3<f32>(2.0));
     let in_map = grown(transformed(maps[k].map_from_world, b), texel);
@@ -322,6 +434,10 @@ fn cell_is_visible(cell: Box) -> bool {
 fn mask_of_map_varies(k: u32, b: Box) -> bool {
     if grid.maps[k].y == 0u {
         return false;
+    }
+    if maps[k].radius_mm > 0.0 {
+        let range = cylinder_range(k, transformed(maps[k].map_from_world, b), 1.01);
+        return !is_empty(range.u) && texels_within(k, range.u).low.w < 1.0;
     }
     let texel = 1.01 / max(maps[k].size - 1.0, vec3<f32>(1.0));
     let around = overlap(grown(transformed(maps[k].map_from_world, b), texel), reach_of(k));

@@ -53,19 +53,26 @@
 //!
 //! - D should vanish on the faces of the cube. A kind lists the faces on which it does not
 //!   ([`nonzero_faces`](crate::deform::kinds::Kind::nonzero_faces)): there the box should end in
-//!   empty space.
+//!   empty space. Where it does not, the tear is reported with the face and its width
+//!   ([`Tear`](crate::prepare::Tear)), and `fade` lets D fall to zero towards the faces.
 //! - A field from a registration, a saved map and a composite are ordinary maps. A field's
 //!   outermost vectors extend to the faces of their voxels, half a voxel beyond the cube.
 //!
-//! **Cylindrical coordinates** (\[DS07\] 3.2) are applied when a map is sampled, so that renderers
-//! handle only Cartesian maps. With the box's extents X, Y, Z and R half the shorter of X and Y,
-//! the kind is evaluated at
+//! Whatever made it (a formula, a brush, a file, an inverse), a map is placed, mapped, faded, kept
+//! from labels, added and stacked in the same way.
+//!
+//! **Cylindrical coordinates** (\[DS07\] 3.2) are part of a map's placement and evaluated at every
+//! sample ([`mapping`](crate::deform::mapping)). With x' = M⁻¹ p' and ρ half the shorter of the box's
+//! extents along x and y, in millimetres:
 //!
 //! ```text
-//! u = (atan2(x, y) X / 2π,  z Y / Z,  (r / R - 1/2) Z)          r = √(x² + y²)
+//! u = C(x') = (fract(θ / 2π), height, r / ρ)        θ = atan2(x, y)        v = u + D(u)
+//! p = M C⁻¹(v)        J_G = A · J_{C⁻¹}(v) · (I + J_D(u)) · J_C(x') · A⁻¹
 //! ```
 //!
-//! so that its x runs around the box's z axis, its y along it, its z outwards.
+//! so that the map's x runs around the box's z axis, its y along it, its z outwards. Inside is
+//! 0 <= u.y <= 1, u.z <= 1. The first and the last grid plane along x are the same, and differences
+//! wrap; a map for which they are not tears at its seam. Derivatives take r as at least half a texel.
 //!
 //! # Composition
 //!

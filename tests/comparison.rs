@@ -73,7 +73,7 @@ fn whole(folder: &Path) -> Value {
         assert!(
             step.len() < 7
                 && read(folder, "runs.csv").contains(&format!(
-                    ",{},{},",
+                    ",{},,{},",
                     run["backend"].as_str().unwrap(),
                     step.trim_end_matches(".0")
                 ))

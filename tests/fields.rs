@@ -46,7 +46,7 @@ fn field(path: &Path) -> Deformation {
     }
 }
 
-fn stack_of(
+pub fn stack_of(
     scene: &Scene,
     assets: &Assets,
     storage: Option<Storage>,

@@ -21,6 +21,7 @@ mod editing;
 mod faults;
 mod fields;
 mod fuzz;
+mod mapping;
 mod metrics;
 mod nifti;
 #[cfg(feature = "gpu")]
@@ -130,6 +131,8 @@ fn main() {
         order_of_deformations_matters, left_is_left, empty_pictures_say_why));
     all.extend(trials!(settings:
         every_setting_acts, settings_without_effect_are_named, every_setting_is_tested));
+    all.extend(trials!(mapping:
+        slabs_become_shells, files_are_mapped_round, bounds_hold_round_an_axis));
     all.extend(trials!(slices:
         slices_equal_rays_in_orthographic_views, slices_approach_rays, options_of_slices_are_bounded));
     all.extend(trials!(nifti:

@@ -289,6 +289,11 @@ fn options_agree() {
     add("preintegrated, step 2, jitter", &|s| {
         (s.render.preintegrated, s.render.jitter, s.render.step) = (true, true, 2.0);
     });
+    add("round an axis", &|s| {
+        let mut shells = Deformation::new("slab");
+        shells.parameters.insert("mapping", "cylindrical");
+        s.deformation.push(shells);
+    });
     // These follow a displacing map.
     let cuts = every_cut();
     add("exact cuts", &|s| s.deformation.extend(cuts.clone()));

@@ -66,11 +66,11 @@ incise = 1
 [[mesh]]
 shape = [{ kind = "sphere", radius = 40.0 }]
 [[deformation]]
-kind = "wedge"
+kind = "half-space"
 [[deformation]]
 kind = "twist"
 [camera]
-view = "40,20"
+view = "40,55"
 [surface]
 steps = "threshold"
 [render]

@@ -220,8 +220,8 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
             .map(|p| p[3] > 0.5)
             .collect()
     };
-    let coarse = 6.0;
-    let reference = hits(Steps::Uniform, coarse / 16.0);
+    let coarse = 12.0;
+    let reference = hits(Steps::Uniform, coarse / 32.0);
     let missed = |steps| {
         hits(steps, coarse)
             .iter()
@@ -245,8 +245,8 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         uniform > 20 && threshold > 5,
         "the scene is no test: {uniform}, {threshold}"
     );
-    // The rate at a sample says nothing of a pull between two samples.
-    assert!(jacobian > 0);
+    // The rate at a sample tells little of a pull between two samples.
+    assert!(jacobian < uniform);
     assert_eq!((bound, sphere), (0, 0));
 }
 

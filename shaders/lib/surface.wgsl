@@ -161,16 +161,16 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
                 }
                 longest_blind = FAR_AWAY;
             }
-            let length = max(
-                min(step_length(ray, before, slope), longest_blind), max(MIN_ADVANCE * before.t, finest)
-            );
+            let least = max(finest, MIN_ADVANCE * before.t);
+            let length = max(min(step_length(ray, before, slope), longest_blind), least);
             here = surface_sample(ray, min(before.t + length, stop));
             count += 1u;
             last = before;
             changed = changes(before, here);
+            let blind = here.t - before.t;
             if !changed && object.steps == STEPS_SPHERE && may_hide_a_surface(before, here, slope)
-                && here.t - before.t > max(MIN_BLIND_STEP * object.step_mm / max(slope, 1.0), finest) {
-                longest_blind = 0.5 * (here.t - before.t);
+                && blind > 2.0 * max(least, MIN_BLIND_STEP * object.step_mm / max(slope, 1.0)) {
+                longest_blind = 0.5 * blind;
                 continue;
             }
             longest_blind = FAR_AWAY;

@@ -94,5 +94,10 @@ struct PlacedMap {
     single: f32,
     // 1 / size of that atlas in texels.
     per_atlas: vec3<f32>,
-    padding: f32,
+    // Of the cylinder that the map is laid round, mm; 0: the map fills its cube.
+    radius_mm: f32,
+    // Edge lengths of the cube, mm.
+    box_mm: vec3<f32>,
+    // Smallest radius at which a derivative is taken, mm.
+    min_radius_mm: f32,
 }

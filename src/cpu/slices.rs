@@ -183,6 +183,14 @@ struct PixelPacket<S: Simd> {
     projection: IntensityProjection<S>,
 }
 
+impl<S: Simd> PixelPacket<S> {
+    /// Whether any of its pixels is not opaque yet.
+    #[inline(always)]
+    fn is_open(&self) -> bool {
+        (self.until.simd_ge(0.0) & !self.alpha.simd_gt(1.0 - MIN_TRANSMITTANCE)).any_true()
+    }
+}
+
 /// Some columns of a strip.
 struct Tile<S: Simd> {
     packets: Vec<PixelPacket<S>>,
@@ -423,11 +431,9 @@ impl<T: Voxel> Slicer<'_, T> {
         let settings = &scene.settings;
         let front_to_back = settings.slice_order == SliceOrder::FrontToBack;
         let ends = scene.ends_early() && self.sampler.composite;
-        let mut open = !ends;
         for polygon in slab.polygons.clone() {
             let outline = &self.outlines[polygon as usize];
             if outline.high.cmplt(tile.low).any() || outline.low.cmpgt(tile.high).any() {
-                open = true;
                 continue;
             }
             let corners = [
@@ -454,13 +460,11 @@ impl<T: Voxel> Slicer<'_, T> {
                 if is_empty {
                     stats.samples_skipped +=
                         u64::from(covered.to_bitmask().count_ones()) * u64::from(self.slices.slices_per_slab);
-                    open = true;
                     continue;
                 }
                 if ends {
                     let opaque = pixels.alpha.simd_gt(1.0 - MIN_TRANSMITTANCE);
                     stats.samples_terminated += u64::from((covered & opaque).to_bitmask().count_ones());
-                    open |= (covered & !opaque).any_true();
                     covered &= !opaque;
                 }
                 if covered.any_true() {
@@ -469,7 +473,7 @@ impl<T: Voxel> Slicer<'_, T> {
                 }
             }
         }
-        open
+        !ends || tile.packets.iter().any(PixelPacket::is_open)
     }
 
     /// Samples a slice at eight pixels; none if no sample has anything to shade. Values of

@@ -335,22 +335,22 @@ pub fn trace(
             }
             longest_blind = f32::INFINITY;
         }
+        let least = finest.max(MIN_ADVANCE * before.t);
         let length = step_length(scene, object, &before, origin, direction, slope)
             .min(longest_blind)
-            .max(MIN_ADVANCE * before.t)
-            .max(finest);
+            .max(least);
         let here = sample(scene, object, origin, direction, (before.t + length).min(stop));
         count += 1;
         if changes(object, &before, &here) {
             if let Some(hit) = first_event(scene, object, origin, direction, before, here) {
                 break Some(hit);
             }
-        } else if steps == Steps::Sphere {
-            // Two sign changes may hide between the samples: look between them.
-            let length = here.t - before.t;
-            let shortest = MIN_BLIND_STEP * object.step_mm / slope.max(1.0);
-            if may_hide_a_surface(object, &before, &here, slope) && length > shortest.max(finest) {
-                longest_blind = 0.5 * length;
+        } else if steps == Steps::Sphere && may_hide_a_surface(object, &before, &here, slope) {
+            // Two sign changes may hide between the samples: look between them. (Twice the least
+            // length, since lengths are rounded.)
+            let blind = here.t - before.t;
+            if blind > 2.0 * least.max(MIN_BLIND_STEP * object.step_mm / slope.max(1.0)) {
+                longest_blind = 0.5 * blind;
                 continue;
             }
         }

@@ -32,6 +32,22 @@ impl PlacedMap {
     /// The displacements and masks of the points of a box that lie in this map's cube, if any do.
     fn displacement_range(&self, b: &Bounds) -> Option<DisplacementRange> {
         let in_map = b.transformed(&self.placement.map_from_world);
+        if let Some(cylinder) = &self.cylinder {
+            let texel = Vec3::splat(0.01) / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
+            let range = cylinder.range(&in_map, self.map.size, 0.01)?;
+            let texels = self.map.bounds(range.in_map.min, range.in_map.max);
+            let [low, high] = [texels.min, texels.max].map(|v| Vec3::from_slice(&v[..3]) * self.map.scale);
+            let all = cylinder
+                .displacement_box(&range, low, high)
+                .transformed(&Affine3A::from_mat3(cylinder.world_from_local));
+            return Some(DisplacementRange {
+                all,
+                mask: [texels.min[3], texels.max[3]],
+                in_map,
+                texel,
+                outside: range.outside || !self.domain().contains(&in_map),
+            });
+        }
         // Transforming a sample rounds, and GPUs place samples to 1/256 of a texel; a hundredth of
         // a texel covers both.
         let texel = 0.01 / Vec3::from(self.map.size.map(|n| n.max(2) as f32));
@@ -65,7 +81,9 @@ impl PlacedMap {
         else {
             return (None, true);
         };
-        if all.size().max_element() < FLAT_DISPLACEMENT * b.size().max_element() {
+        // A bound by slopes is not known round an axis.
+        let is_flat = all.size().max_element() < FLAT_DISPLACEMENT * b.size().max_element();
+        if self.cylinder.is_some() || is_flat {
             let affine_enclosure = AffineEnclosure {
                 all,
                 mask,
@@ -102,10 +120,34 @@ impl PlacedMap {
         if !self.map.has_cuts() {
             return false;
         }
-        let texel = 1.01 / Vec3::from(self.map.size.map(|n| (n.max(2) - 1) as f32));
         let in_map = b.transformed(&self.placement.map_from_world);
+        if let Some(cylinder) = &self.cylinder {
+            return cylinder
+                .range(&in_map, self.map.size, 1.01)
+                .is_some_and(|r| self.map.bounds(r.in_map.min, r.in_map.max).min[3] < 1.0);
+        }
+        let texel = 1.01 / Vec3::from(self.map.size.map(|n| (n.max(2) - 1) as f32));
         let around = Bounds::new(in_map.min - texel, in_map.max + texel).intersection(&self.domain());
         !around.is_empty() && self.map.bounds(around.min, around.max).min[3] < 1.0
+    }
+
+    /// A bound on |J_G| over a box of the unit cube, for a map laid round an axis; at least 1.
+    pub(super) fn cylinder_slope_bound(&self, b: &Bounds) -> f32 {
+        let Some(cylinder) = &self.cylinder else {
+            return 1.0;
+        };
+        let Some(range) = cylinder.range(b, self.map.size, 1.01) else {
+            return 1.0;
+        };
+        let texels = self.map.bounds(range.in_map.min, range.in_map.max);
+        let [low, high] = [texels.min, texels.max].map(|v| Vec3::from_slice(&v[..3]) * self.map.scale);
+        let columns = self
+            .map
+            .slope_bounds(range.in_map.min, range.in_map.max)
+            .map(|(low, high)| (low * self.map.scale, high * self.map.scale));
+        let skewed = spectral_norm(cylinder.world_from_local) * spectral_norm(cylinder.local_from_world);
+        // A box without skew turns; it stretches nothing.
+        skewed.max(1.0) * cylinder.slope_bound(&range, low, high, columns).max(1.0)
     }
 
     /// Centre and half-width of the bounds on J_G - I over a box in map coordinates.
@@ -307,9 +349,13 @@ impl Stack {
     pub fn lipschitz_bound(&self) -> f32 {
         let (mut all, mut together) = (1.0f32, 1.0f32);
         for map in self.maps().iter().rev() {
-            let [middle, half] = map.slopes_within(&map.domain());
-            together +=
-                spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt();
+            together += match &map.cylinder {
+                Some(_) => map.cylinder_slope_bound(&Bounds::UNIT) - 1.0,
+                None => {
+                    let [middle, half] = map.slopes_within(&map.domain());
+                    spectral_norm(middle) + half.to_cols_array().iter().map(|v| v * v).sum::<f32>().sqrt()
+                }
+            };
             if !map.added {
                 all *= together;
                 together = 1.0;

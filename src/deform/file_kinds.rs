@@ -43,15 +43,57 @@ pub const FILE_KINDS: &[FileKind] = &[
                 form: SettingFormat::Flag,
                 about: "true uses the inverse",
             },
+            Setting {
+                name: "mapping",
+                form: SettingFormat::Choice(&["none", "cylindrical"]),
+                about: "none, or cylindrical: x runs around the box's z axis, y along it, z outwards",
+            },
+            Setting {
+                name: "fade",
+                form: SettingFormat::Number,
+                about: "width over which the displacement fades towards the faces of the box, mm; 0 by default",
+            },
+            Setting {
+                name: "spare",
+                form: SettingFormat::Whole,
+                about: "labels to protect from cutting and moving",
+            },
+            Setting {
+                name: "labels",
+                form: SettingFormat::File,
+                about: "file of the label map; by default the volume itself",
+            },
         ],
     },
     FileKind {
         name: "map",
         about: "a displacement map made by incise map; center, size or rotate override its placement",
-        settings: &[Setting {
-            name: "path",
-            form: SettingFormat::File,
-            about: "file",
-        }],
+        settings: &[
+            Setting {
+                name: "path",
+                form: SettingFormat::File,
+                about: "file",
+            },
+            Setting {
+                name: "mapping",
+                form: SettingFormat::Choice(&["none", "cylindrical"]),
+                about: "none, or cylindrical: x runs around the box's z axis, y along it, z outwards",
+            },
+            Setting {
+                name: "fade",
+                form: SettingFormat::Number,
+                about: "width over which the displacement fades towards the faces of the box, mm; 0 by default",
+            },
+            Setting {
+                name: "spare",
+                form: SettingFormat::Whole,
+                about: "labels to protect from cutting and moving",
+            },
+            Setting {
+                name: "labels",
+                form: SettingFormat::File,
+                about: "file of the label map; by default the volume itself",
+            },
+        ],
     },
 ];

@@ -234,7 +234,7 @@ impl<'a> LipschitzBounds<'a> {
             of_maps: stack
                 .maps()
                 .iter()
-                .map(|m| m.map.has_displacement().then(|| m.slopes()))
+                .map(|m| (m.map.has_displacement() && m.cylinder.is_none()).then(|| m.slopes()))
                 .collect(),
         }
     }
@@ -245,11 +245,14 @@ impl<'a> LipschitzBounds<'a> {
         let (mut b, mut at) = (*deformed, *deformed);
         let (mut whole, mut here, mut together) = (1.0f32, 1.0f32, true);
         for (map, slopes) in self.stack.maps().iter().zip(&self.of_maps).rev() {
-            let (own, moved) = slopes
-                .as_ref()
-                .map_or((1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)), |s| {
-                    map.lipschitz_over(&at, s)
-                });
+            let (own, moved) = match slopes {
+                Some(slopes) => map.lipschitz_over(&at, slopes),
+                None if map.cylinder.is_some() => (
+                    map.cylinder_slope_bound(&at.transformed(&map.placement.map_from_world)),
+                    map.displacement_bounds(&at),
+                ),
+                None => (1.0, Bounds::new(Vec3::ZERO, Vec3::ZERO)),
+            };
             // A map evaluated at the same point as the one added to it contributes only its
             // displacement, J - I.
             whole = if together {

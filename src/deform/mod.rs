@@ -30,6 +30,7 @@ pub mod kinds;
 mod library;
 pub mod lipschitz;
 mod map;
+pub mod mapping;
 mod placement;
 pub mod points;
 pub mod quality;

@@ -15,6 +15,7 @@
 
 mod lanes;
 
+use super::mapping::Cylinder;
 use super::texel::{MIN_MARKED_ALPHA, MIN_MARKED_SLOPE};
 use super::{DisplacementMap, Placement};
 use crate::math::Bounds;
@@ -37,6 +38,8 @@ pub struct PlacedMap {
     /// How far the outermost texels extend beyond the cube's faces, map units: half a voxel for a
     /// registration's field, whose outermost vectors apply to the whole of their voxels.
     pub reach: Vec3,
+    /// The coordinate mapping that lays the map round an axis, if there is one.
+    pub cylinder: Option<Cylinder>,
     /// `world_from_map`'s linear part times the map's scale: from stored displacement to mm.
     pub(super) world_from_stored: Mat3,
 }
@@ -45,7 +48,8 @@ impl PartialEq for PlacedMap {
     /// Identity of the map, not equality of its content: the same map with the same placement.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.map, &other.map)
-            && (self.placement, self.added, self.reach) == (other.placement, other.added, other.reach)
+            && (self.placement, self.added, self.reach, self.cylinder)
+                == (other.placement, other.added, other.reach, other.cylinder)
     }
 }
 
@@ -123,8 +127,16 @@ impl PlacedMap {
             placement,
             added: false,
             reach: Vec3::ZERO,
+            cylinder: None,
             world_from_stored,
         }
+    }
+
+    /// The same map laid round the z axis of its box.
+    pub fn mapped_cylindrically(mut self) -> Self {
+        self.reach = Vec3::ZERO;
+        self.cylinder = Some(Cylinder::new(&self.placement, self.map.size[2]));
+        self
     }
 
     /// One step of the walk: the point before this map was applied, and the mask.
@@ -151,12 +163,22 @@ impl PlacedMap {
         if self.is_outside(x) {
             return (Vec3::ZERO, 1.0);
         }
+        if let Some(cylinder) = &self.cylinder {
+            return cylinder
+                .displacement(&self.map, x)
+                .map_or((Vec3::ZERO, 1.0), |(d, alpha)| {
+                    (cylinder.world_from_local * d, alpha)
+                });
+        }
         let t = self.map.fetch(x);
         (self.world_from_stored * t.xyz(), t.w)
     }
 
-    /// Displacement, mm, and mask at map coordinates; needs no texels.
+    /// Displacement, mm, and mask at a point of the unit cube; needs no texels.
     pub fn displacement_at(&self, x: Vec3) -> (Vec3, f32) {
+        if self.cylinder.is_some() {
+            return self.displacement(self.placement.world_from_map.transform_point3(x));
+        }
         let sample = self.map.sample_lazily(x);
         let linear = Mat3::from(self.placement.world_from_map.matrix3);
         (linear * sample.displacement, sample.alpha)
@@ -168,6 +190,11 @@ impl PlacedMap {
         let x = self.placement.map_from_world.transform_point3(p);
         if self.is_outside(x) {
             return None;
+        }
+        if let Some(cylinder) = &self.cylinder {
+            let (j, slope) = cylinder.derivatives(&self.map, x)?;
+            let (to, from) = (cylinder.world_from_local, cylinder.local_from_world);
+            return Some((to * j * from, from.transpose() * slope));
         }
         let (j, slope) = self.map.derivatives(x);
         let inverse = Mat3::from(self.placement.map_from_world.matrix3);

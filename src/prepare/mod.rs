@@ -13,6 +13,7 @@ mod deformed;
 mod idle;
 pub mod inside;
 mod macrocells;
+mod map_assets;
 pub mod measure;
 mod mesh_settings;
 mod object_cache;

@@ -1,10 +1,12 @@
 //! A scene's deformations as a stack of maps.
 
 use super::accelerator::Accelerator;
+use super::map_assets::{finished, is_cylindrical};
 use crate::deform::compose::{self, PrecomposeError};
 use crate::deform::cut::{CutShape, CutShapes, MAX_CUTS};
 use crate::deform::file_kinds::FILE_KINDS;
-use crate::deform::kinds::{self, DefaultSize, FieldInputs, Kind, Sampling};
+use crate::deform::kinds::{self, DefaultSize, FieldInputs, Kind, RoundMap, Sampling};
+use crate::deform::mapping::Cylinder;
 use crate::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Stack, Storage, saved};
 use crate::error::suggestion;
 use crate::math::Bounds;
@@ -299,6 +301,9 @@ fn place(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMa
         _ => place_kind(deformation, inputs).map(|m| vec![m]),
     }
     .map_err(named)?;
+    if matches!(deformation.kind.as_str(), "field" | "map") {
+        placed = finish_all(placed, deformation, inputs).map_err(named)?;
+    }
     if deformation.add {
         if placed.len() > 1 {
             return Err(named(Error::value(
@@ -309,6 +314,26 @@ fn place(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMa
         placed.iter_mut().for_each(|m| m.added = true);
     }
     Ok(placed)
+}
+
+/// Applies what every map can have to those of a file.
+fn finish_all(
+    placed: Vec<PlacedMap>,
+    deformation: &Deformation,
+    inputs: &StackInputs,
+) -> Result<Vec<PlacedMap>> {
+    let common = ["mapping", "fade", "spare"];
+    let asked = common.iter().find(|n| deformation.parameters.0.contains_key(**n));
+    match (asked, placed.len()) {
+        (Some(name), 2..) => Err(Error::value(
+            *name,
+            "a chain of transforms is several maps; bake it into one field first",
+        )),
+        _ => placed
+            .into_iter()
+            .map(|map| finished(map, deformation, inputs))
+            .collect(),
+    }
 }
 
 fn progress(deformation: &Deformation) -> Result<f32> {
@@ -386,9 +411,15 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     let world_from_local = placement.world_from_map
         * Affine3A::from_translation(Vec3::splat(0.5))
         * Affine3A::from_scale(size_mm.recip());
+    let cube = placement.scaled(Vec3::splat(kind.cube_scale))?;
+    let cylindrical = is_cylindrical(deformation)?;
     let kind_inputs = FieldInputs {
         settings: &settings,
         world_from_local,
+        cylinder: cylindrical.then(|| RoundMap {
+            cylinder: Cylinder::new(&cube, 2),
+            world_from_cube: cube.world_from_map,
+        }),
         library: inputs.library,
     };
     // A formula has the same map wherever its box lies: moving or rotating the box neither samples
@@ -404,10 +435,12 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
             inputs.watch,
         )
     })?;
-    Ok(PlacedMap::new(
-        map,
-        placement.scaled(Vec3::splat(kind.cube_scale))?,
-    ))
+    let placed = PlacedMap::new(map, cube);
+    Ok(if cylindrical {
+        placed.mapped_cylindrically()
+    } else {
+        placed
+    })
 }
 
 /// Only the settings of a file kind are allowed.
@@ -433,18 +466,31 @@ fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
     }
 }
 
+/// The maps of a registration's field, where its file places them or where the deformation does.
 fn place_field(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMap>> {
-    check_settings(&deformation.parameters, "field")?;
-    if deformation.center.is_some()
+    let own = field_maps(deformation, inputs)?;
+    if !is_placed(deformation) {
+        return Ok(own);
+    }
+    let [map] = <[PlacedMap; 1]>::try_from(own).map_err(|_| {
+        Error::value(
+            "center, size, rotate, matrix",
+            "a chain of transforms is several maps; bake it into one field first",
+        )
+    })?;
+    Ok(vec![placed_again(map, deformation, inputs)?])
+}
+
+/// Whether a deformation states a placement.
+fn is_placed(deformation: &Deformation) -> bool {
+    deformation.center.is_some()
         || deformation.size.is_some()
         || deformation.rotate.is_some()
         || deformation.matrix.is_some()
-    {
-        return Err(Error::value(
-            "center, size, rotate, matrix",
-            "a field is placed by its file; leave these out",
-        ));
-    }
+}
+
+fn field_maps(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMap>> {
+    check_settings(&deformation.parameters, "field")?;
     if let Some(n) = deformation.resolution.filter(|n| !(8..=512).contains(n)) {
         return Err(Error::value(
             "resolution",
@@ -502,13 +548,15 @@ fn place_map(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedMa
         .ok_or_else(|| Error::value("path", "is missing; name a file"))?;
     let storage = inputs.storage.or(deformation.storage).unwrap_or_default();
     let saved = saved::read(&inputs.library.path(path), storage, progress(deformation)?)?;
-    let moved = deformation.center.is_some()
-        || deformation.size.is_some()
-        || deformation.rotate.is_some()
-        || deformation.matrix.is_some();
-    if !moved {
-        return Ok(saved);
+    if is_placed(deformation) {
+        placed_again(saved, deformation, inputs)
+    } else {
+        Ok(saved)
     }
+}
+
+/// A map from a file where the deformation places it; what it leaves out is the file's.
+fn placed_again(saved: PlacedMap, deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedMap> {
     let (own_center, own_size) = (
         saved.placement.world_from_map.transform_point3(Vec3::splat(0.5)),
         saved.placement.size_mm(),

@@ -12,8 +12,9 @@ use serde::Serialize;
 
 /// Points along an edge of a face.
 const POINTS: usize = 17;
-/// The faces of a box, in the order -x, +x, -y, +y, -z, +z.
-const FACES: [&str; 6] = ["-x", "+x", "-y", "+y", "-z", "+z"];
+/// The faces of a box, in the order -x, +x, -y, +y, -z, +z; and those of a cylinder.
+const FACES: [&str; 6] = ["-x face", "+x face", "-y face", "+y face", "-z face", "+z face"];
+const CYLINDER_FACES: [&str; 6] = ["seam", "", "lower end", "upper end", "", "outer face"];
 
 /// Visible matter that is torn at a face of a deformation's box.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -30,7 +31,7 @@ impl Tear {
     /// A notice for the user.
     pub fn notice(&self) -> String {
         format!(
-            "{}: tears at the {} face of its box, by up to {:.1} mm; enlarge the box, move that face out of the matter, or fade the deformation towards its faces (fade = {:.0})",
+            "{}: tears at the {} of its box, by up to {:.1} mm; enlarge the box, move that face out of the matter, or fade the deformation towards its faces (fade = {:.0})",
             self.deformation,
             self.face,
             self.amount_mm,
@@ -62,7 +63,12 @@ pub(super) fn tears(
         }
         // A group of added maps moves points together; its members are tested one by one.
         let source = |p: Vec3| deformed.stack.source_before(n, p);
-        for (face, name) in FACES.iter().enumerate() {
+        let names = if map.cylinder.is_some() {
+            CYLINDER_FACES
+        } else {
+            FACES
+        };
+        for (face, name) in names.into_iter().enumerate().filter(|(_, name)| !name.is_empty()) {
             let amount_mm = amount_on(map, face, tolerance_mm, &|outside, inside| {
                 is_matter(source(outside)) || is_matter(source(inside))
             });
@@ -88,15 +94,36 @@ fn amount_on(map: &PlacedMap, face: usize, tolerance_mm: f32, separates: &dyn Fn
         let mut x = Vec3::ZERO;
         x[axis] = (face % 2) as f32;
         (x[(axis + 1) % 3], x[(axis + 2) % 3]) = (u, v);
-        let (displacement_mm, alpha) = map.displacement_at(x);
+        let (p, displacement_mm, alpha) = at_face(map, x, face == 0);
         let amount_mm = displacement_mm.length();
         if alpha < 0.5 || amount_mm <= tolerance_mm.max(largest) {
             continue;
         }
-        let p = map.placement.world_from_map.transform_point3(x);
         if separates(p, p + displacement_mm) {
             largest = amount_mm;
         }
     }
     largest
+}
+
+/// A point of a face, how far the matter on its two sides is torn apart, mm, and the mask there.
+fn at_face(map: &PlacedMap, x: Vec3, is_seam: bool) -> (Vec3, Vec3, f32) {
+    let world = |cube: Vec3| map.placement.world_from_map.transform_point3(cube);
+    let Some(cylinder) = &map.cylinder else {
+        let (displacement_mm, alpha) = map.displacement_at(x);
+        return (world(x), displacement_mm, alpha);
+    };
+    let sample = map.map.sample_lazily(x);
+    let mut displacement_mm = cylinder.displaced(x, sample.displacement);
+    if is_seam {
+        // The seam, where both ends of the map meet.
+        let other = map.map.sample_lazily(Vec3::new(1.0, x.y, x.z));
+        displacement_mm = cylinder.displaced(x, other.displacement) - displacement_mm;
+    }
+    let linear = cylinder.world_from_local;
+    (
+        world(cylinder.cube_from_map(x)),
+        linear * displacement_mm,
+        sample.alpha,
+    )
 }

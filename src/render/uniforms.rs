@@ -113,7 +113,9 @@ pub struct PlacedMapUniform {
     pub origin: [f32; 3],
     pub single: f32,
     pub per_atlas: [f32; 3],
-    pub padding: f32,
+    pub radius_mm: f32,
+    pub box_mm: [f32; 3],
+    pub min_radius_mm: f32,
 }
 
 fn affine(m: &Affine3A) -> [f32; 16] {
@@ -200,7 +202,9 @@ impl PlacedMapUniform {
             origin: origin.map(|n| n as f32),
             single: f32::from(u8::from(single)),
             per_atlas: atlas.map(|n| (n as f32).recip()),
-            padding: 0.0,
+            radius_mm: placed.cylinder.map_or(0.0, |c| c.radius_mm),
+            box_mm: placed.placement.size_mm().into(),
+            min_radius_mm: placed.cylinder.map_or(0.0, |c| c.min_radius_mm),
         }
     }
 }

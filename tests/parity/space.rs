@@ -112,7 +112,14 @@ fn scenes_with_empty_space() -> Vec<(String, Scene)> {
         .map(Deformation::new)
         .to_vec();
     shapes.deformation[1].center = Some([40.0, -50.0, 10.0]);
+    let mut round = Scene::of_volume("phantom:tomato:size=64");
+    round.deformation = ["slab", "pull"].map(Deformation::new).to_vec();
+    for d in &mut round.deformation {
+        d.parameters.insert("mapping", "cylindrical");
+        d.rotate = Some([30.0, 20.0, 0.0]);
+    }
     vec![
+        ("round an axis".to_owned(), round),
         small("head-peel", &|_| ()),
         small("head-slabs", &|_| ()),
         small("head-grey-cuts", &|_| ()),

@@ -42,6 +42,7 @@ pub use modifiers::vary_everywhere;
 pub use settings::{Setting, SettingFormat};
 
 use super::cut::CutShapeKind;
+use super::mapping::Cylinder;
 use super::{Argument, Arguments, DisplacementMap, Formula, FormulaKind, Library, MapDefinition, Storage};
 use crate::error::suggestion;
 use crate::math::Bounds;
@@ -237,8 +238,27 @@ pub struct FieldInputs<'a> {
     pub settings: &'a Arguments,
     /// From the box's local millimetres to world millimetres.
     pub world_from_local: Affine3A,
+    /// The cylinder that the map is laid round, if it is.
+    pub cylinder: Option<RoundMap>,
     /// Files and volumes.
     pub library: &'a Library,
+}
+
+/// A map laid round an axis of its box in the world.
+#[derive(Clone, Copy, Debug)]
+pub struct RoundMap {
+    /// The cylinder.
+    pub cylinder: Cylinder,
+    /// From the unit cube to world millimetres.
+    pub world_from_cube: Affine3A,
+}
+
+impl RoundMap {
+    /// World millimetres of map coordinates.
+    fn world_from_map(&self, u: Vec3) -> Vec3 {
+        self.world_from_cube
+            .transform_point3(self.cylinder.cube_from_map(u))
+    }
 }
 
 impl FieldContext<'_> {

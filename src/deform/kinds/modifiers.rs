@@ -1,12 +1,14 @@
-//! Modifiers available to every kind: spared labels and cylindrical coordinates.
+//! Modifiers available to every kind: spared labels and fading. (The mapping round an axis is part of
+//! a map's placement, [`crate::deform::mapping`].)
 
-use super::{Backward, Field, FieldContext, FieldInputs, Setting, SettingFormat, forward_numerically};
+use super::{
+    Backward, Field, FieldContext, FieldInputs, RoundMap, Setting, SettingFormat, forward_numerically,
+};
 use crate::deform::Arguments;
 use crate::math::DistanceGrid;
 use crate::math::smoothstep;
 use crate::{Error, Result};
-use glam::{Affine3A, Vec3, Vec3Swizzles};
-use std::f32::consts::TAU;
+use glam::{Affine3A, Vec2, Vec3};
 use std::sync::Arc;
 
 /// Settings common to every kind.
@@ -35,7 +37,7 @@ pub(super) const SETTINGS: &[Setting] = &[
 
 /// Whether the settings make a map vary along all axes.
 pub fn vary_everywhere(settings: &Arguments) -> bool {
-    ["spare", "mapping", "fade"]
+    ["spare", "fade"]
         .iter()
         .any(|name| settings.0.contains_key(*name))
 }
@@ -47,13 +49,6 @@ pub(super) fn apply(
     inputs: &FieldInputs,
 ) -> Result<Box<dyn Field>> {
     let mut field = field;
-    if inputs.settings.choice("mapping", &["none", "cylindrical"])? == "cylindrical" {
-        field = Box::new(Cylindrical {
-            inner: field,
-            size_mm: context.size_mm,
-            radius: context.half().x.min(context.half().y),
-        });
-    }
     if let Some(fade_mm) = inputs.settings.number("fade")? {
         let half = context.half() * context.cube_scale;
         if !(0.0..=half.max_element()).contains(&fade_mm) {
@@ -70,6 +65,10 @@ pub(super) fn apply(
                 inner: field,
                 half,
                 fade_mm,
+                cylinder_mm: inputs
+                    .cylinder
+                    .as_ref()
+                    .map(|c| Vec2::new(c.cylinder.box_mm.z, c.cylinder.radius_mm)),
             });
         }
     }
@@ -80,74 +79,13 @@ pub(super) fn apply(
             inner: field,
             distance,
             world_from_local: inputs.world_from_local,
+            round: inputs
+                .cylinder
+                .map(|round| (round, context.size_mm * context.cube_scale)),
             fade_mm,
         });
     }
     Ok(field)
-}
-
-/// Cylindrical coordinate mapping (\[DS07\] section 3.2): the inner field's box is unrolled around
-/// the axis. A displacement along its x becomes a rotation about the axis, one along its z becomes
-/// radial, and its flat cuts become round.
-///
-/// \[DS07\] stores the unrolled map and converts coordinates at every sample; here the map is
-/// sampled in Cartesian coordinates, so that renderers need no special case.
-struct Cylindrical {
-    inner: Box<dyn Field>,
-    size_mm: Vec3,
-    radius: f32,
-}
-
-impl Cylindrical {
-    fn unrolled(&self, q: Vec3) -> Vec3 {
-        let r = q.xy().length();
-        let angle = if r > 0.0 { q.x.atan2(q.y) } else { 0.0 };
-        Vec3::new(
-            angle / TAU * self.size_mm.x,
-            q.z / self.size_mm.z * self.size_mm.y,
-            (r / self.radius - 0.5) * self.size_mm.z,
-        )
-    }
-
-    fn rolled(&self, u: Vec3) -> Vec3 {
-        let angle = u.x / self.size_mm.x * TAU;
-        let r = ((u.z / self.size_mm.z + 0.5) * self.radius).max(0.0);
-        Vec3::new(
-            r * angle.sin(),
-            r * angle.cos(),
-            u.y / self.size_mm.y * self.size_mm.z,
-        )
-    }
-
-    /// Smallest ratio of a length in the world to the unrolled length.
-    fn shrinks(&self, q: Vec3) -> f32 {
-        let around = TAU * q.xy().length() / self.size_mm.x;
-        (self.radius / self.size_mm.z)
-            .min(self.size_mm.z / self.size_mm.y)
-            .min(around)
-            .min(1.0)
-    }
-}
-
-impl Field for Cylindrical {
-    fn backward(&self, q: Vec3) -> Backward {
-        let u = self.unrolled(q);
-        let inner = self.inner.backward(u);
-        // Where nothing moves, the point itself avoids the rounding of the conversion.
-        let source = if inner.source == u {
-            q
-        } else {
-            self.rolled(inner.source)
-        };
-        Backward {
-            source,
-            cut_distance_mm: inner.cut_distance_mm * self.shrinks(q).max(0.05),
-        }
-    }
-
-    fn forward(&self, q: Vec3) -> Option<Vec3> {
-        self.inner.forward(self.unrolled(q)).map(|u| self.rolled(u))
-    }
 }
 
 /// A displacement that fades towards the faces of its box, so that it tears nothing there.
@@ -156,15 +94,25 @@ struct Faded {
     /// Half the extent of the map's cube, mm.
     half: Vec3,
     fade_mm: f32,
+    /// Height and radius of the cylinder that the map is laid round, mm.
+    cylinder_mm: Option<Vec2>,
 }
 
 impl Field for Faded {
     fn backward(&self, q: Vec3) -> Backward {
         let inner = self.inner.backward(q);
         let inside = self.half - q.abs();
-        let weight: f32 = (0..3)
-            .map(|axis| smoothstep(0.0, self.fade_mm.min(self.half[axis]), inside[axis]))
-            .product();
+        let weight: f32 = match self.cylinder_mm {
+            // Round an axis, the angle has no faces, and the radius has one.
+            Some(cylinder_mm) => {
+                let outward = (self.half.z - q.z) / (2.0 * self.half.z) * cylinder_mm.y;
+                let upward = inside.y / (2.0 * self.half.y) * cylinder_mm.x;
+                smoothstep(0.0, self.fade_mm, upward) * smoothstep(0.0, self.fade_mm, outward)
+            }
+            None => (0..3)
+                .map(|axis| smoothstep(0.0, self.fade_mm.min(self.half[axis]), inside[axis]))
+                .product(),
+        };
         Backward {
             source: q + (inner.source - q) * weight,
             ..inner
@@ -181,19 +129,31 @@ struct Spared {
     inner: Box<dyn Field>,
     distance: Arc<DistanceGrid>,
     world_from_local: Affine3A,
+    /// The cylinder that the map is laid round, and the extent of the map's cube, mm.
+    round: Option<(RoundMap, Vec3)>,
     /// Width over which the displacement fades towards a spared label.
     fade_mm: f32,
+}
+
+impl Spared {
+    /// Signed distance to the spared labels, positive inside, mm.
+    fn inside(&self, p: Vec3) -> f32 {
+        let world = match &self.round {
+            Some((round, cube_mm)) => round.world_from_map(p / *cube_mm + 0.5),
+            None => self.world_from_local.transform_point3(p),
+        };
+        self.distance.sample(world)
+    }
 }
 
 impl Field for Spared {
     fn backward(&self, q: Vec3) -> Backward {
         let inner = self.inner.backward(q);
-        let inside = |p: Vec3| self.distance.sample(self.world_from_local.transform_point3(p));
-        let here = inside(q);
+        let here = self.inside(q);
         let source = q + (inner.source - q) * smoothstep(0.0, self.fade_mm, -here);
         let mut cut_distance_mm = inner.cut_distance_mm;
         if (source - q).length_squared() > 0.01 * self.fade_mm * self.fade_mm {
-            cut_distance_mm = cut_distance_mm.min(-inside(source));
+            cut_distance_mm = cut_distance_mm.min(-self.inside(source));
         }
         Backward {
             source,
@@ -202,8 +162,7 @@ impl Field for Spared {
     }
 
     fn forward(&self, q: Vec3) -> Option<Vec3> {
-        let spared = self.distance.sample(self.world_from_local.transform_point3(q)) >= 0.0;
-        if spared {
+        if self.inside(q) >= 0.0 {
             return Some(q);
         }
         // Near a spared label the displacement fades, and the kind's own forward map does not hold.

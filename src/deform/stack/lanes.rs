@@ -42,11 +42,50 @@ impl PlacedMap {
     }
 }
 
+impl PlacedMap {
+    /// Displacements, mm, and masks at eight points of the cube.
+    #[inline(always)]
+    fn displacement_lanes<S: Simd>(
+        &self,
+        simd: S,
+        x: Vec3x8<S>,
+        lanes: mask32x8<S>,
+        line: Option<&TexelLine>,
+    ) -> (Vec3x8<S>, f32x8<S>) {
+        if self.cylinder.is_some() {
+            return self.displacement_by_lane(simd, &x, lanes.to_bitmask());
+        }
+        let (stored, alpha) = match line {
+            Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
+            None => self.map.fetch_lanes(simd, x),
+        };
+        (stored.mapped(&self.world_from_stored), alpha)
+    }
+
+    /// The same for a map laid round an axis, one point after the other.
+    #[inline(never)]
+    fn displacement_by_lane<S: Simd>(&self, simd: S, x: &Vec3x8<S>, lanes: u64) -> (Vec3x8<S>, f32x8<S>) {
+        let (mut moved, mut alphas) = ([Vec3::ZERO; LANES], [1.0; LANES]);
+        for n in lanes_of(lanes) {
+            let cylinder = self.cylinder.as_ref();
+            if let Some((cylinder, (d, alpha))) =
+                cylinder.and_then(|c| Some((c, c.displacement(&self.map, x.lane(n))?)))
+            {
+                (moved[n], alphas[n]) = (cylinder.world_from_local * d, alpha);
+            }
+        }
+        (Vec3x8::from_lanes(simd, &moved), f32x8::load_array(simd, alphas))
+    }
+}
+
 impl Stack {
     /// The first map on the walk, for points `first` + t `step` of the deformed scene, if these lie
     /// along its x axis.
     pub fn line(&self, first: Vec3, step: Vec3) -> Option<TexelLine> {
         let map = self.precomposed.as_ref().map(|s| &s.map).or(self.maps.last())?;
+        if map.cylinder.is_some() {
+            return None;
+        }
         let across = map.placement.map_from_world.matrix3.x_axis;
         // Exactly, so that interpolating across the line once gives the same result as for each
         // point.
@@ -119,15 +158,12 @@ impl Stack {
             // Only the first map is evaluated at undisplaced points.
             let line = line.take();
             if inside.any_true() {
-                let (stored, alpha) = match line {
-                    Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
-                    None => map.map.fetch_lanes(simd, x),
-                };
+                let (displacement, alpha) = map.displacement_lanes(simd, x, inside, line);
                 let alpha = inside.select(alpha, f32x8::splat(simd, 1.0));
                 walk.alpha = walk.alpha.min(alpha);
                 walk.inside |= inside;
                 live &= !alpha.simd_lt(0.5);
-                let moved = walk.source + stored.mapped(&map.world_from_stored);
+                let moved = walk.source + displacement;
                 walk.source = Vec3x8::select(live & inside, moved, walk.source);
             }
             if !map.added {
@@ -223,7 +259,25 @@ impl Stack {
         for map in self.maps.iter().rev() {
             let x = at.transformed(&map.placement.map_from_world);
             let inside = lanes & map.holds_lanes(x);
-            if inside.any_true() {
+            if map.cylinder.is_some() && inside.any_true() {
+                for n in lanes_of(inside.to_bitmask()) {
+                    let p = at.lane(n);
+                    let Some((j, slope)) = map.derivatives(p) else {
+                        continue;
+                    };
+                    let (moved, alpha) = map.backward(p);
+                    let d_at = Mat3::from_cols(at_x.lane(n), at_y.lane(n), at_z.lane(n));
+                    let gradient = (d_at.transpose() * slope).length();
+                    if gradient >= 1e-12 && alpha - 0.5 < cut_distance_mm[n] * gradient {
+                        cut_distance_mm[n] = (alpha - 0.5) / gradient;
+                    }
+                    let more = (j - Mat3::IDENTITY) * d_at;
+                    jx.set(n, jx.lane(n) + more.x_axis);
+                    jy.set(n, jy.lane(n) + more.y_axis);
+                    jz.set(n, jz.lane(n) + more.z_axis);
+                    source.set(n, source.lane(n) + (moved - p));
+                }
+            } else if inside.any_true() {
                 let ([sx, sy, sz, alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
                 let stored = Vec3x8 { x: sx, y: sy, z: sz }.mapped(&map.world_from_stored);
                 let d = [

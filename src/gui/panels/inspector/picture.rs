@@ -5,7 +5,9 @@ use crate::gui::panels::heading;
 use crate::gui::state::document::Document;
 use crate::gui::state::request::Requests;
 use crate::scene::surface::SurfaceSettings;
-use crate::scene::{CutFaces, Light, Mode, Normals, Projection, RenderSettings, Scene};
+use crate::scene::{
+    BlendFormat, CutFaces, Light, Mode, Normals, Projection, RenderSettings, Scene, SliceOrder,
+};
 use crate::volume::{GradientFilter, Volume};
 use eframe::egui::{self, DragValue, Slider, Ui};
 use std::ops::RangeInclusive;
@@ -18,7 +20,17 @@ pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut 
     ui.spacing_mut().slider_width = (ui.available_width() - 128.0).max(60.0);
     show_sampling(ui, &mut scene.render);
     if has_volume {
-        show_shading(ui, &mut scene.render, volume);
+        // Greyed, with the reason, where it has no effect.
+        let shaded = scene.render.mode != Mode::Surface;
+        let shading = ui.add_enabled_ui(shaded, |ui| show_shading(ui, &mut scene.render, volume));
+        if !shaded {
+            shading
+                .response
+                .on_hover_text("These act on volumes (mode slice or raycast)");
+        }
+    }
+    if has_volume && scene.render.mode == Mode::Slice {
+        show_slices(ui, &mut scene.render);
     }
     if scene.render.mode == Mode::Surface && has_volume {
         show_iso_value(ui, &mut scene.surface, volume);
@@ -59,6 +71,33 @@ fn show_sampling(ui: &mut Ui, render: &mut RenderSettings) {
     )
     .on_hover_text("Samples averaged along each edge of a pixel");
     render.antialias = antialias;
+}
+
+/// How slices are drawn.
+fn show_slices(ui: &mut Ui, render: &mut RenderSettings) {
+    ui.horizontal(|ui| {
+        ui.label("Slab");
+        ui.add(DragValue::new(&mut render.slab).range(1..=64).suffix(" slices"))
+            .on_hover_text("Slices composited inside one fragment; 1 draws one polygon per slice");
+    });
+    choice(
+        ui,
+        "Slice order",
+        &mut render.slice_order,
+        &[
+            (SliceOrder::BackToFront, "back to front"),
+            (SliceOrder::FrontToBack, "front to back"),
+        ],
+    );
+    choice(
+        ui,
+        "Blended in",
+        &mut render.blend_format,
+        &[
+            (BlendFormat::Float32, "32-bit floats"),
+            (BlendFormat::Float16, "16-bit floats"),
+        ],
+    );
 }
 
 /// Shading of the volume: normals, gradients, cut faces, iso-surface.
