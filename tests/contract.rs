@@ -63,6 +63,7 @@ fn field(kind: &Kind, values: &[f32], progress: f32) -> Box<dyn Field> {
         &FieldInputs {
             settings: &settings,
             world_from_local: Affine3A::IDENTITY,
+            cylinder: None,
             library: &LIBRARY,
         },
     )
@@ -79,6 +80,7 @@ fn map(kind: &Kind, values: &[f32], progress: f32, size: Vec3) -> DisplacementMa
         &FieldInputs {
             settings: &settings,
             world_from_local: Affine3A::IDENTITY,
+            cylinder: None,
             library: &LIBRARY,
         },
     )

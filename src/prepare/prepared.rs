@@ -8,7 +8,7 @@ use super::objects::Surfaces;
 use super::slices::SlicePolygons;
 use super::spacing::{SampleSpacing, blend_mm, cut_margin_mm};
 use super::stack::Composition;
-use super::tears::{Tear, tears};
+use super::tears::{self, Tear};
 use super::volume::{Classifier, VolumeObject};
 use crate::Result;
 use crate::deform::Stack;
@@ -115,7 +115,7 @@ impl<'a> Prepared<'a> {
             let is_matter = |source: Vec3| {
                 volume.shows(source) || surfaces.objects.iter().any(|o| !o.rigid && o.contains(source))
             };
-            tears(&deformed, &scene_box, TEAR_TOLERANCE * reference_mm, is_matter)
+            tears::tears(&deformed, &scene_box, TEAR_TOLERANCE * reference_mm, is_matter)
         });
         let light = scene.light.clone();
         let to_light = to_light(&light, &view);
@@ -147,7 +147,7 @@ impl<'a> Prepared<'a> {
             notices: composition
                 .and_then(|c| c.notice())
                 .into_iter()
-                .chain(tears.iter().map(Tear::notice))
+                .chain(tears::notices(&tears))
                 .collect(),
             tears,
             stages,

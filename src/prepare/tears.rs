@@ -27,17 +27,25 @@ pub struct Tear {
     pub amount_mm: f32,
 }
 
-impl Tear {
-    /// A notice for the user.
-    pub fn notice(&self) -> String {
+/// Notices for the user, one for every deformation that tears.
+pub(super) fn notices(tears: &[Tear]) -> Vec<String> {
+    let of_one = |tears: &[Tear]| {
+        let faces: Vec<String> = tears
+            .iter()
+            .map(|tear| format!("{} ({:.1} mm)", tear.face, tear.amount_mm))
+            .collect();
+        let widest = tears.iter().map(|tear| tear.amount_mm).fold(1.0, f32::max);
         format!(
-            "{}: tears at the {} of its box, by up to {:.1} mm; enlarge the box, move that face out of the matter, or fade the deformation towards its faces (fade = {:.0})",
-            self.deformation,
-            self.face,
-            self.amount_mm,
-            self.amount_mm.max(1.0).ceil()
+            "{}: tears what it moves at the {} of its box; enlarge the box, move these faces into empty space, or fade the deformation towards them (fade = {:.0})",
+            tears[0].deformation,
+            faces.join(", "),
+            widest.ceil()
         )
-    }
+    };
+    tears
+        .chunk_by(|a, b| a.deformation == b.deformation)
+        .map(of_one)
+        .collect()
 }
 
 /// The tears of a deformation. `is_matter` tells whether a point of the undeformed scene shows

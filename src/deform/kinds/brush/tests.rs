@@ -28,6 +28,7 @@ fn field_in(strokes: &[&str], progress: f32, world_from_local: Affine3A) -> Resu
         &FieldInputs {
             settings: &settings,
             world_from_local,
+            cylinder: None,
             library: &library,
         },
     )
