@@ -373,7 +373,7 @@ pub fn what_cannot_be_compared_is_told() {
         (&["nowhere.nii", "-o", "lab"][..], "nowhere.nii"),
         (&["phantom:ball:size=12", "-o", "file"], "file"),
         (&["phantom:ball:size=12", "-o", "file/lab"], "file"),
-        (&["tet.obj", "-o", "lab", "--modes", "slice"], "--modes slice"),
+        (&["tet.obj", "-o", "lab", "--modes", "raycast"], "--modes raycast"),
         (&["slices", "-o", "slices"], "slices"),
         (&["phantom:ball:size=12", "-o", "taken"], "runs.csv"),
         (&["phantom:ball:size=12", "-o", "protected"], "runs.csv"),

@@ -134,7 +134,8 @@ fn main() {
     all.extend(trials!(mapping:
         slabs_become_shells, files_are_mapped_round, bounds_hold_round_an_axis));
     all.extend(trials!(slices:
-        slices_equal_rays_in_orthographic_views, slices_approach_rays, options_of_slices_are_bounded));
+        slices_equal_rays_in_orthographic_views, slices_approach_rays, slices_show_surfaces,
+        options_of_slices_are_bounded));
     all.extend(trials!(nifti:
         every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named,
         the_first_of_a_series_is_taken, the_bundled_head));

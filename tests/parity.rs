@@ -70,7 +70,7 @@ pub fn trials() -> Vec<Trial> {
         let name = file.file_stem().unwrap().to_string_lossy().into_owned();
         let own = Scene::load(&file).map_or(Mode::Raycast, |s| s.render.mode);
         let modes: &[Mode] = if own == Mode::Surface {
-            &[Mode::Surface]
+            &[Mode::Surface, Mode::Slice]
         } else {
             &[Mode::Slice, Mode::Raycast]
         };

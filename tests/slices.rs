@@ -4,6 +4,7 @@ use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
 use crate::scenes::{assets, load};
 use incise::prepare::{Assets, Prepared};
+use incise::scene::surface::Steps;
 use incise::scene::{BlendFormat, Mode, Projection, Scene, SliceOrder};
 
 /// Scenes with maps, cuts, holes and both kinds of volumes.
@@ -65,6 +66,36 @@ pub fn slices_approach_rays() {
             assert!(pair[1] <= 0.05 || pair[0] >= 1.7 * pair[1], "{name}: {means:.4?}");
         }
         assert!(means[3] <= 0.05, "{name}: {means:.4?}");
+    }
+}
+
+/// Slices sample surfaces as objects of the scene: distance fields of meshes, formulas and labels,
+/// hollow, thick or solid, alone or in a volume. In an orthographic view that is what rays find with
+/// even steps.
+pub fn slices_show_surfaces() {
+    for name in ["gyroid", "bunny-twist", "apple-hollow", "apple-thick", "apple-solid", "head-with-nuclei"] {
+        let (mut scene, assets) = without_early_end(name);
+        scene.camera.projection = Projection::Orthographic;
+        scene.surface.steps = Steps::Uniform;
+        let has_volume = scene.volume.is_some() && scene.render.mode != Mode::Surface;
+        let others = if has_volume { Mode::Raycast } else { Mode::Surface };
+        if !has_volume {
+            // A surface of the volume is not shown in the volume's own modes.
+            scene.volume = None;
+        }
+        let [slices, rays] = [Mode::Slice, others].map(|mode| {
+            scene.render.mode = mode;
+            let prepared = Prepared::new(&scene, &assets).unwrap();
+            assert_eq!(prepared.sliced_surfaces().count() > 0, mode == Mode::Slice, "{name}");
+            picture(&prepared)
+        });
+        let d = difference(&slices, &rays).unwrap();
+        println!(
+            "{name}: slices against rays mean {:.4}/255, max {:.2}/255",
+            d.mean / STEP,
+            d.max / STEP
+        );
+        assert!(d.mean <= 0.05 * STEP && d.within_4 >= 0.999, "{name}: {d:?}");
     }
 }
 

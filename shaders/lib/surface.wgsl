@@ -146,10 +146,10 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
                 }
                 var begin = walked_to;
                 if interval > 0.0 {
-                    let number = max(floor(walked_to / interval), next_interval);
+                    let number = max(floor(walked_to / interval + 0.5), next_interval);
                     next_interval = number + 1.0;
-                    begin = number * interval;
-                    stop = next_interval * interval;
+                    begin = (number - 0.5) * interval;
+                    stop = (number + 0.5) * interval;
                 } else {
                     slope = max(c.g, 1e-3);
                     stop = advanced(max(leaves(cell, 1.0, ray, inverse), walked_to));

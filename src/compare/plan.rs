@@ -43,16 +43,20 @@ pub struct Plan {
     pub gpu_is_required: bool,
 }
 
-/// The modes that apply to a scene.
+/// The modes that apply to a scene. Slices show surfaces, too.
 pub fn modes_of(scene: &Scene) -> Vec<Mode> {
-    let volume = scene.volume.is_some().then_some([Mode::Slice, Mode::Raycast]);
+    let has_volume = scene.volume.is_some();
     let has_surface = scene.mesh.iter().any(|m| !m.hidden)
         || scene.surface.iso.is_some()
         || scene.render.mode == Mode::Surface;
-    volume
+    let modes = [
+        (has_volume || has_surface, Mode::Slice),
+        (has_volume, Mode::Raycast),
+        (has_surface, Mode::Surface),
+    ];
+    modes
         .into_iter()
-        .flatten()
-        .chain(has_surface.then_some(Mode::Surface))
+        .filter_map(|(applies, mode)| applies.then_some(mode))
         .collect()
 }
 
@@ -94,11 +98,11 @@ impl Plan {
         if let Some(mode) = self
             .modes
             .iter()
-            .find(|m| **m != Mode::Surface && self.scene.volume.is_none())
+            .find(|m| **m == Mode::Raycast && self.scene.volume.is_none())
         {
             return Err(Error::value(
                 format!("--modes {}", mode_name(*mode)),
-                "shows a volume, and the scene has none; use --modes surface",
+                "shows a volume, and the scene has none; use --modes slice,surface",
             ));
         }
         if let Some(step) = self.steps.iter().find(|s| !STEPS.contains(*s)) {
@@ -233,7 +237,12 @@ impl Plan {
 
     /// Checks that all pictures together have at most [`MAX_TOTAL_PIXELS`].
     fn check_total_pixels(&self, backends: usize) -> Result<()> {
-        let kinds = BTreeSet::from_iter(self.modes.iter().map(|m| *m == Mode::Surface)).len();
+        let kinds = BTreeSet::from_iter(
+            self.modes
+                .iter()
+                .map(|m| *m == Mode::Surface || self.scene.volume.is_none()),
+        )
+        .len();
         let pictures = (self.modes.len() * self.steps.len() * backends
             + if self.reference.is_some() { kinds } else { 0 })
             * self.cameras.len();
@@ -299,7 +308,10 @@ mod tests {
         };
         assert!(good().check(1).is_ok() && good().check(2).is_ok());
         assert_eq!(good().modes, [Mode::Slice, Mode::Raycast]);
-        assert_eq!(Plan::of(Scene::of_mesh("a.stl")).modes, [Mode::Surface]);
+        assert_eq!(
+            Plan::of(Scene::of_mesh("a.stl")).modes,
+            [Mode::Slice, Mode::Surface]
+        );
         let cases: [(&str, Plan); 10] = [
             (
                 "--modes",
@@ -309,9 +321,9 @@ mod tests {
                 },
             ),
             (
-                "--modes slice",
+                "--modes raycast",
                 Plan {
-                    modes: vec![Mode::Slice],
+                    modes: vec![Mode::Raycast],
                     ..Plan::of(Scene::of_mesh("a.stl"))
                 },
             ),

@@ -106,7 +106,7 @@ impl ViewKey {
         Self {
             camera: scene.camera.view.into(),
             size: scene.render.size,
-            surface: scene.render.mode == Mode::Surface,
+            surface: scene.render.mode == Mode::Surface || scene.volume.is_none(),
         }
     }
 }

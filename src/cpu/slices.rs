@@ -41,6 +41,9 @@ const TILE_COLUMNS: usize = 32;
 pub(super) struct Slicer<'a, T> {
     sampler: &'a PacketSampler<'a, T>,
     slices: SlicePolygons,
+    /// Whether slices sample surfaces, and a volume.
+    has_surfaces: bool,
+    has_volume: bool,
     /// The polygons on the picture, in the order of `slices.polygons`.
     outlines: Vec<Outline>,
 }
@@ -148,6 +151,8 @@ impl<'a, T: Voxel> Slicer<'a, T> {
         Self {
             sampler,
             slices,
+            has_surfaces: scene.sliced_surfaces().next().is_some(),
+            has_volume: scene.shows_volume(),
             outlines,
         }
     }
@@ -332,7 +337,7 @@ impl<T: Voxel> Slicer<'_, T> {
             },
             surfaces: Vec::new(),
         };
-        let shows_surfaces = !scene.surfaces.objects.is_empty();
+        let shows_surfaces = scene.has_surfaces_behind();
         if shows_surfaces {
             tile.surfaces = vec![None; TILE_COLUMNS * rows];
         }
@@ -560,14 +565,15 @@ impl<T: Voxel> Slicer<'_, T> {
             } else {
                 covered
             };
-            let Some(found) = self.fragment_sample(
-                simd,
-                pixels,
-                covered,
-                self.depth_mm(first + slice),
-                stats,
-                fetch_policy,
-            ) else {
+            let depth_mm = self.depth_mm(first + slice);
+            if self.has_surfaces {
+                self.add_surfaces(pixels, covered, depth_mm, &mut layer, stats);
+            }
+            if !self.has_volume {
+                continue;
+            }
+            let Some(found) = self.fragment_sample(simd, pixels, covered, depth_mm, stats, fetch_policy)
+            else {
                 continue;
             };
             let shaded = self.sampler.shade_found(simd, pixels.rays, &found, fetch_policy);
@@ -579,6 +585,32 @@ impl<T: Voxel> Slicer<'_, T> {
             layer.any |= visible;
         }
         layer
+    }
+
+    /// Adds what a slice shows of surfaces: opaque, and in front of its sample of the volume.
+    #[inline(never)]
+    fn add_surfaces<S: Simd>(
+        &self,
+        pixels: &PixelPacket<S>,
+        covered: mask32x8<S>,
+        depth_mm: f32,
+        layer: &mut SlabFragments<S>,
+        stats: &mut RenderStats,
+    ) {
+        let scene = self.sampler.scene;
+        let lanes = covered & pixels.until.simd_gt(depth_mm);
+        for n in lanes_of(lanes.to_bitmask()) {
+            let step = pixels.rays.step[n];
+            let t = depth_mm * step / scene.frame.spacing.step_mm + pixels.shift[n];
+            let (origin, direction) = (pixels.origin.lane(n), pixels.rays.direction.lane(n));
+            let hit = surface::nearest_in_slice(scene, origin, direction, t, step, &mut stats.samples_taken);
+            let Some(hit) = hit else { continue };
+            layer
+                .color
+                .set(n, layer.color.lane(n) + hit.color * layer.transmittance[n]);
+            layer.transmittance[n] = 0.0;
+            layer.any.set(n, true);
+        }
     }
 
     /// What the cut shapes leave of the paths of eight pixels: which have anything left, the

@@ -27,6 +27,7 @@
 //! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` compute the same.
 
 use crate::deform::{Jet, NearestCut};
+use crate::math::Bounds;
 use crate::math::light::BlinnPhong;
 use crate::math::{normalize_or, smoothstep};
 use crate::mesh::MeshHit;
@@ -101,11 +102,42 @@ impl SurfaceSample {
 /// The nearest surface along a ray; counts the samples taken in `samples`.
 pub fn nearest(scene: &Prepared, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
     let mut best: Option<SurfaceHit> = None;
-    for object in &scene.surfaces.objects {
+    // Slices sample the others themselves.
+    let objects = scene.surfaces.objects.iter();
+    for object in objects.filter(|object| !scene.is_sliced(object)) {
         if let Some(hit) = object_hit(scene, object, origin, direction, samples)
             && best.is_none_or(|b| hit.t < b.t)
         {
             best = Some(hit);
+        }
+    }
+    best
+}
+
+/// What a slice shows of the surfaces: the nearest hit on the part of a ray, `step` long, that ends
+/// at `t`, where the slice lies.
+pub fn nearest_in_slice(
+    scene: &Prepared,
+    origin: Vec3,
+    direction: Vec3,
+    t: f32,
+    step: f32,
+    samples: &mut u64,
+) -> Option<SurfaceHit> {
+    let mut best: Option<SurfaceHit> = None;
+    for object in scene.sliced_surfaces() {
+        let [a, b] = [t - step, t].map(|t| origin + direction * t);
+        let part = Bounds::new(a.min(b), a.max(b));
+        if object.cells.grid.is_empty_block(&part) {
+            continue;
+        }
+        *samples += 2;
+        let [a, b] = [t - step, t].map(|t| sample(scene, object, origin, direction, t));
+        let hit = changes(object, &a, &b).then(|| first_event(scene, object, origin, direction, a, b));
+        if let Some((t, side)) = hit.flatten()
+            && best.is_none_or(|best| t < best.t)
+        {
+            best = Some(shade_field(scene, object, origin, direction, t, side));
         }
     }
     best
@@ -318,9 +350,10 @@ pub fn trace(
             }
             let begin;
             if interval > 0.0 {
-                let number = (walked_to / interval).floor().max(next_interval);
+                // Samples lie at (n + 1/2) δs, as those of volumes.
+                let number = (walked_to / interval + 0.5).floor().max(next_interval);
                 next_interval = number + 1.0;
-                (begin, stop) = (number * interval, next_interval * interval);
+                (begin, stop) = ((number - 0.5) * interval, (number + 0.5) * interval);
             } else {
                 slope = object.cells.slope[grid.index(p)].max(1e-3);
                 (begin, stop) = (

@@ -30,6 +30,8 @@ pub enum Program {
     Classify,
     /// One surface, by rays through its field.
     Surface,
+    /// One surface, in slices.
+    SliceSurface,
     /// Triangles.
     Mesh,
 }
@@ -55,6 +57,7 @@ const SHARED: [&str; 10] = [
 
 const NODE: &str = piece!("types/bounds.wgsl");
 const MARCH: &str = piece!("lib/march.wgsl");
+const SLICE_POLYGON: &str = piece!("lib/slice_polygon.wgsl");
 const FOUND: &str = piece!("lib/found.wgsl");
 const COMPOSITE: &str = piece!("lib/composite.wgsl");
 
@@ -68,7 +71,7 @@ const SURFACES: [&str; 4] = [
 
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Raycast,
         Self::RaycastCompute,
         Self::Slice,
@@ -82,6 +85,7 @@ impl Program {
         Self::Bounds,
         Self::Classify,
         Self::Surface,
+        Self::SliceSurface,
         Self::Mesh,
     ];
 
@@ -111,7 +115,7 @@ impl Program {
                 count,
                 piece!("raycast_compute.wgsl"),
             ],
-            Self::Slice => &[MARCH, FOUND, count, piece!("slice.wgsl")],
+            Self::Slice => &[MARCH, FOUND, SLICE_POLYGON, count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Opaque => &[piece!("opaque.wgsl")],
             Self::SurfacesBehind => &[piece!("surfaces_behind.wgsl")],
@@ -125,11 +129,12 @@ impl Program {
             Self::Encode => &[piece!("encode.wgsl")],
             Self::Bounds => &[NODE, piece!("bounds.wgsl")],
             Self::Classify => &[NODE, piece!("classify.wgsl")],
+            Self::SliceSurface => &[MARCH, FOUND, SLICE_POLYGON, count, piece!("slice_surface.wgsl")],
             Self::Surface => &[MARCH, count, piece!("surface.wgsl")],
             Self::Mesh => &[MARCH, piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
         };
         let of_surfaces: &[&str] = match self {
-            Self::Surface | Self::Mesh => &SURFACES,
+            Self::Surface | Self::SliceSurface | Self::Mesh => &SURFACES,
             _ => &[],
         };
         // Programs that make maps read no scene.

@@ -216,6 +216,16 @@ fn surface_settings(
         &["surface.threshold"],
         "it acts with steps = \"threshold\"",
     );
+    unless(
+        prepared.sliced_surfaces().next().is_none(),
+        &[
+            "surface.two_stage",
+            "surface.steps",
+            "surface.threshold",
+            "render.slab",
+        ],
+        "slices sample surfaces themselves, one slice at a time",
+    );
     let in_two_stages = prepared
         .surfaces
         .objects

@@ -13,8 +13,8 @@ use crate::math::Bounds;
 use crate::mesh::Implicit;
 use crate::mesh::deformer::{Deformer, NormalMethod};
 use crate::mesh::field::{MARGIN, cell_of};
-use crate::scene::Scene;
 use crate::scene::surface::{CutModel, Look, MeshSource, Representation, Steps, SurfaceSettings};
+use crate::scene::{Mode, Scene};
 use crate::{Result, Watch};
 use glam::Vec3;
 use std::sync::{Arc, OnceLock};
@@ -116,7 +116,8 @@ impl Assets {
         let look = source.appearance.resolve(&general.appearance)?;
         let only_triangles = source.representation() == Representation::Triangles;
         let untouched = source.rigid || (stack.is_empty() && cuts.is_empty());
-        let both = has_two_stages(source, general, look.model);
+        // Slices sample surfaces everywhere.
+        let both = has_two_stages(source, general, look.model) && scene.render.mode != Mode::Slice;
         let triangles = if only_triangles || both {
             Some(self.objects.triangles(&self.library, source)?)
         } else {

@@ -4,8 +4,8 @@ use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
 use super::idle::{IdleSetting, stated_in_vain};
-use super::objects::Surfaces;
-use super::slices::SlicePolygons;
+use super::objects::{SurfaceObject, Surfaces};
+use super::slices::{Proxy, SlicePolygons};
 use super::spacing::{SampleSpacing, blend_mm, cut_margin_mm};
 use super::stack::Composition;
 use super::tears::{self, Tear};
@@ -92,7 +92,7 @@ impl<'a> Prepared<'a> {
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;
         let reference_mm = assets.volume.spacing_mm().min_element() as f32;
-        let spacing = SampleSpacing {
+        let mut spacing = SampleSpacing {
             step_mm: settings.step * reference_mm,
             reference_mm,
             blend_mm: blend_mm(settings.step, reference_mm),
@@ -108,6 +108,15 @@ impl<'a> Prepared<'a> {
         let surfaces = stages.time("surfaces", || {
             assets.surfaces(scene, &deformed.stack, &deformed.cuts)
         })?;
+        // Without a volume the step is that of the finest surface.
+        let finest = surfaces
+            .objects
+            .iter()
+            .map(|o| o.cell_mm)
+            .fold(f32::INFINITY, f32::min);
+        if !assets.has_volume && finest.is_finite() {
+            (spacing.reference_mm, spacing.step_mm) = (finest, settings.step * finest);
+        }
         let volume = stages.time("macrocells", || {
             VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options)
         })?;
@@ -157,16 +166,55 @@ impl<'a> Prepared<'a> {
         Ok(prepared)
     }
 
-    /// The polygons of the slices that can show anything.
+    /// The surfaces that slices sample as objects beside the volume: those with a distance field. In
+    /// other modes there are none; nor in front of a projection, which has no order.
+    pub fn sliced_surfaces(&self) -> impl Iterator<Item = &SurfaceObject> {
+        self.surfaces
+            .objects
+            .iter()
+            .filter(|object| self.is_sliced(object))
+    }
+
+    /// Whether slices sample a surface.
+    pub fn is_sliced(&self, object: &SurfaceObject) -> bool {
+        self.settings.mode == Mode::Slice
+            && self.volume().blend == Blend::Composite
+            && object.implicit.is_some()
+    }
+
+    /// Whether there are surfaces that are drawn before the volume, as opaque pixels behind it.
+    pub fn has_surfaces_behind(&self) -> bool {
+        self.sliced_surfaces().count() < self.surfaces.objects.len()
+    }
+
+    /// Whether slices have anything to sample.
+    pub fn has_slices(&self) -> bool {
+        self.settings.mode == Mode::Slice
+            && (self.shows_volume() && !self.frame.proxy.is_empty()
+                || self.sliced_surfaces().next().is_some())
+    }
+
+    /// The polygons of the slices that can show anything. Slices with surfaces are drawn one by one.
     pub fn slice_polygons(&self) -> SlicePolygons {
+        let proxy = Proxy {
+            cells: &self.volume().macrocells,
+            mesh: self.proxy_mesh.as_deref(),
+            others: self
+                .sliced_surfaces()
+                .map(|object| object.cells.grid.occupied)
+                .collect(),
+        };
         let shift = if self.settings.jitter { 0.5 } else { 0.0 };
-        SlicePolygons::of(
-            &self.frame,
-            &self.volume().macrocells,
-            self.proxy_mesh.as_deref(),
-            self.settings.slab,
-            shift,
-        )
+        SlicePolygons::of(&self.frame, &proxy, self.slices_per_slab(), shift)
+    }
+
+    /// Slices composited inside one fragment.
+    pub fn slices_per_slab(&self) -> u32 {
+        if self.sliced_surfaces().next().is_some() {
+            1
+        } else {
+            self.settings.slab
+        }
     }
 
     /// The first volume.

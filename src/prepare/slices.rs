@@ -42,24 +42,29 @@ pub struct SlicePolygons {
 }
 
 impl SlicePolygons {
-    /// The polygons of the slices of a box, or of a mesh, that can show anything; slabs of `slab`
-    /// slices start at multiples of it. A slab is omitted if none of its slices meets an occupied
-    /// cell. `shift` is the largest distance by which samples are moved along their rays, in steps.
-    pub fn of(frame: &Frame, cells: &Macrocells, mesh: Option<&Mesh>, slab: u32, shift: f32) -> Self {
+    /// The polygons of the slices of a proxy geometry that can show anything; slabs of `slab` slices
+    /// start at multiples of it. A slab is omitted if none of its slices meets an occupied cell of
+    /// the volume or the box of another object. `shift` is the largest distance by which samples are
+    /// moved along their rays, in steps.
+    pub fn of(frame: &Frame, proxy: &Proxy, slab: u32, shift: f32) -> Self {
         let mut all = Self {
             slices_per_slab: slab,
             ..Self::default()
         };
-        if frame.proxy.is_empty() {
+        let all_boxes = proxy
+            .others
+            .iter()
+            .fold(frame.proxy, |all, other| all.union(other));
+        if all_boxes.is_empty() {
             return all;
         }
-        let box_of_slices = grown(frame, shift);
+        let box_of_slices = grown(frame, &all_boxes, shift);
         let corners = box_of_slices.corners();
         let (near, far) = depths(frame, &corners);
         let step = frame.spacing.step_mm;
         let first = (near / step - 0.5).ceil().max(0.0) as i64;
         let last = (far / step - 0.5).floor() as i64;
-        let shown = occupied_depths(frame, cells, first);
+        let shown = shown_slices(frame, proxy, first);
         // Moved samples may belong to the cells of the neighbouring slices.
         let is_shown = |i: i64| shown.is_empty() || shown.get((i - first) as usize).copied().unwrap_or(true);
         let slab_slices = i64::from(slab);
@@ -71,8 +76,9 @@ impl SlicePolygons {
                 .then_some((start, low, high))
         });
         let depth = |i: i64| (i as f32 + 0.5) * step;
-        // A section of a mesh is that of one plane only; its mask bounds slabs.
-        if let Some(mesh) = mesh.filter(|_| slab == 1) {
+        // A section of a mesh is that of one plane only, and it holds nothing but the volume; its mask
+        // bounds slabs.
+        if let Some(mesh) = proxy.mesh.filter(|_| slab == 1 && proxy.others.is_empty()) {
             let planes = Planes::across(frame.view.forward);
             let slabs: Vec<(i64, i64, i64)> = slabs.collect();
             let offsets: Vec<f32> = slabs
@@ -112,10 +118,20 @@ impl SlicePolygons {
     }
 }
 
+/// The geometry that slices are cut from, besides the box of the volume's occupied cells.
+pub struct Proxy<'a> {
+    /// The volume's empty space.
+    pub cells: &'a Macrocells,
+    /// The mesh that encloses the volume, if slices may be cut from it.
+    pub mesh: Option<&'a Mesh>,
+    /// The boxes of other objects, mm.
+    pub others: Vec<Bounds>,
+}
+
 /// The box of what is visible, grown.
-fn grown(frame: &Frame, shift: f32) -> Bounds {
+fn grown(frame: &Frame, proxy: &Bounds, shift: f32) -> Bounds {
     let view = &frame.view;
-    let (_, far) = depths(frame, &frame.proxy.corners());
+    let (_, far) = depths(frame, &proxy.corners());
     let pixel = (2.0 * view.right.length() / frame.size[0] as f32)
         .max(2.0 * view.up.length() / frame.size[1] as f32)
         * if view.projection == Projection::Perspective {
@@ -124,9 +140,7 @@ fn grown(frame: &Frame, shift: f32) -> Bounds {
             1.0
         };
     let step = frame.spacing.step_mm;
-    frame
-        .proxy
-        .grown(GROWTH[0] * pixel + GROWTH[1] * step + shift * step * view.longest_slant())
+    proxy.grown(GROWTH[0] * pixel + GROWTH[1] * step + shift * step * view.longest_slant())
 }
 
 /// The least and the greatest depth of some points.
@@ -194,12 +208,29 @@ fn convex_hull(mut points: Vec<Vec2>) -> Vec<Vec2> {
     hull
 }
 
-/// For each slice from `first` on: whether any occupied cell reaches it.
-fn occupied_depths(frame: &Frame, cells: &Macrocells, first: i64) -> Vec<bool> {
+/// For each slice from `first` on: whether any occupied cell or other object reaches it.
+fn shown_slices(frame: &Frame, proxy: &Proxy, first: i64) -> Vec<bool> {
     let view = &frame.view;
+    let cells = proxy.cells;
     let depth = |p: Vec3| (p - view.eye).dot(view.forward);
-    let reach = cells.cell_mm.dot(view.forward.abs()) / 2.0;
     let mut shown = Vec::new();
+    let mut show = |low_mm: f32, high_mm: f32| {
+        let step = frame.spacing.step_mm;
+        let low = ((low_mm / step - 0.5).floor() as i64 - first).max(0) as usize;
+        let high = ((high_mm / step - 0.5).ceil() as i64 - first).max(0) as usize;
+        if shown.len() <= high {
+            shown.resize(high + 1, false);
+        }
+        shown[low..=high].fill(true);
+    };
+    for other in proxy.others.iter().filter(|b| !b.is_empty()) {
+        let (near, far) = depths(frame, &other.corners());
+        show(near, far);
+    }
+    if frame.proxy.is_empty() {
+        return shown;
+    }
+    let reach = cells.cell_mm.dot(view.forward.abs()) / 2.0;
     for index in (0..cells.distance.len()).filter(|n| cells.is_occupied(*n)) {
         let index = index as u32;
         let cell = Vec3::new(
@@ -208,12 +239,7 @@ fn occupied_depths(frame: &Frame, cells: &Macrocells, first: i64) -> Vec<bool> {
             (index / cells.size.x / cells.size.y) as f32,
         );
         let middle = depth(cells.origin + (cell + 0.5) * cells.cell_mm);
-        let low = (((middle - reach) / frame.spacing.step_mm - 0.5).floor() as i64 - first).max(0) as usize;
-        let high = (((middle + reach) / frame.spacing.step_mm - 0.5).ceil() as i64 - first).max(0) as usize;
-        if shown.len() <= high {
-            shown.resize(high + 1, false);
-        }
-        shown[low..=high].fill(true);
+        show(middle - reach, middle + reach);
     }
     shown
 }
@@ -258,6 +284,14 @@ mod tests {
         }
     }
 
+    fn proxy<'a>(cells: &'a Macrocells, mesh: Option<&'a Mesh>) -> Proxy<'a> {
+        Proxy {
+            cells,
+            mesh,
+            others: Vec::new(),
+        }
+    }
+
     /// Every ray that meets a slice inside the box passes through its slab's polygon, and polygons
     /// are only slightly larger.
     #[test]
@@ -271,7 +305,7 @@ mod tests {
             ("130,-65", Projection::Orthographic, 8),
         ] {
             let frame = frame(view, projection, bounds);
-            let slices = SlicePolygons::of(&frame, &Macrocells::solid(bounds), None, slab, 0.0);
+            let slices = SlicePolygons::of(&frame, &proxy(&Macrocells::solid(bounds), None), slab, 0.0);
             assert!(
                 slices.slabs.windows(2).all(|w| w[0].first < w[1].first),
                 "front to back"
@@ -326,7 +360,7 @@ mod tests {
         for view in ["anterior", "30,20", "130,-65"] {
             let frame = frame(view, Projection::Perspective, bounds);
             let ball = crate::mesh::shapes::sphere(20.0, 64);
-            let of_mesh = SlicePolygons::of(&frame, &Macrocells::solid(bounds), Some(&ball), 1, 0.0);
+            let of_mesh = SlicePolygons::of(&frame, &proxy(&Macrocells::solid(bounds), Some(&ball)), 1, 0.0);
             let area: f32 = of_mesh
                 .polygons
                 .iter()

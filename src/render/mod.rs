@@ -203,7 +203,8 @@ impl Renderer {
         let mut stages = StageTimes::default();
         let [width, height] = scene.frame.size;
         self.check_limits(scene)?;
-        let shows_volume = scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty();
+        let shows_volume =
+            scene.settings.mode != Mode::Surface && !scene.frame.proxy.is_empty() || scene.has_slices();
         if !shows_volume && scene.surfaces.objects.is_empty() {
             let pixels = vec![[0.0; 4]; width as usize * height as usize];
             let picture = Picture {
@@ -301,6 +302,9 @@ impl Renderer {
     ) -> Result<Option<Layer>> {
         if inputs.scene.surfaces.objects.is_empty() {
             self.scene.surfaces.forget_large_fields();
+            return Ok(None);
+        }
+        if !inputs.scene.has_surfaces_behind() {
             return Ok(None);
         }
         self.restart_clock();

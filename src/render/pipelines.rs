@@ -22,7 +22,7 @@ impl Context {
         Variant {
             program,
             exact: self.strategy.exact_filter,
-            counting: counting && (march || program == Program::Surface),
+            counting: counting && (march || matches!(program, Program::Surface | Program::SliceSurface)),
             maps: scene.stack.maps().len(),
             precomposed: scene.stack.precomposed().is_some(),
             normals: if scene.is_lit() {
@@ -33,7 +33,7 @@ impl Context {
             blend: scene.volume().blend,
             gradient: scene.gradient_filter(),
             slab: if program == Program::Slice {
-                scene.settings.slab
+                scene.slices_per_slab()
             } else {
                 1
             },
@@ -48,8 +48,12 @@ impl Context {
                 .map(|_| scene.settings.iso_light),
             colors: scene.volume().colors.is_some(),
             preintegrated: scene.preintegrated() && march,
-            behind: (march || matches!(program, Program::Resolve | Program::SurfacesBehind))
-                && !scene.surfaces.objects.is_empty(),
+            behind: (march
+                || matches!(
+                    program,
+                    Program::SliceSurface | Program::Resolve | Program::SurfacesBehind
+                ))
+                && scene.has_surfaces_behind(),
         }
     }
 
@@ -87,7 +91,7 @@ impl Context {
         };
         if scene.settings.mode == Mode::Slice
             && scene.volume().blend == Blend::Composite
-            && !scene.surfaces.objects.is_empty()
+            && scene.has_surfaces_behind()
         {
             programs.push(Program::SurfacesBehind);
         }
@@ -166,7 +170,12 @@ impl Context {
             depth_stencil: masked.then(|| wgpu::DepthStencilState {
                 format: MASK,
                 depth_write_enabled: Some(variant.program == Program::Opaque),
-                depth_compare: Some(wgpu::CompareFunction::Less),
+                // From back to front nothing is masked.
+                depth_compare: Some(if variant.order == SliceOrder::BackToFront {
+                    wgpu::CompareFunction::Always
+                } else {
+                    wgpu::CompareFunction::Less
+                }),
                 stencil: wgpu::StencilState::default(),
                 bias: wgpu::DepthBiasState::default(),
             }),
@@ -188,7 +197,7 @@ impl Context {
 }
 
 /// The format that a variant draws to, and how it blends.
-fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
+pub(super) fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
     // New content, premultiplied, is blended over or under the existing content.
     let (src_factor, dst_factor) = match variant.order {
         SliceOrder::BackToFront => (wgpu::BlendFactor::One, wgpu::BlendFactor::OneMinusSrcAlpha),
@@ -215,7 +224,9 @@ fn color_target(variant: &Variant) -> wgpu::ColorTargetState {
         }
     };
     let (format, blend) = match (variant.program, variant.blend) {
-        (Program::Slice | Program::SurfacesBehind, Blend::Composite) => (variant.format, Some(composited)),
+        (Program::Slice | Program::SliceSurface | Program::SurfacesBehind, Blend::Composite) => {
+            (variant.format, Some(composited))
+        }
         (Program::Slice, Blend::Average) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Add))),
         (Program::Slice, _) => (PROJECTION_FORMAT, Some(gather(wgpu::BlendOperation::Max))),
         _ => (TextureFormat::Rgba16Float, None),

@@ -8,13 +8,17 @@
 //! sum; a second pass applies the transfer function.
 
 use super::Renderer;
-use super::context::Context;
+use super::context::{Context, lock};
+use super::counter::Counter;
 use super::draw::{Canvas, Draw, PendingSubmissions};
-use super::pipelines::gathered_layout;
+use super::pipelines::{color_target, gathered_layout};
 use super::target::{MASK, PROJECTION_FORMAT};
+use super::variant::{Variant, overrides};
+use super::work::ResourceKind;
 use crate::Result;
 use crate::gpu::shaders::Program;
 use crate::gpu::wait;
+use crate::prepare::Prepared;
 use crate::prepare::slices::SlicePolygons;
 use crate::scene::SliceOrder;
 use crate::transfer::Blend;
@@ -55,7 +59,92 @@ impl Context {
     }
 }
 
+impl Context {
+    /// The pipeline that draws one surface in slices, compiled on first use.
+    fn slice_surface_pipeline(&self, variant: Variant) -> wgpu::RenderPipeline {
+        lock(&self.pipelines)
+            .entry(variant)
+            .or_insert_with(|| self.compiled_slice_surface(variant))
+            .clone()
+    }
+
+    fn compiled_slice_surface(&self, variant: Variant) -> wgpu::RenderPipeline {
+        self.tally.count(ResourceKind::Pipeline);
+        let device = &self.device.device;
+        let module = self.shader_module(&variant);
+        let constants = overrides(&variant);
+        let options = wgpu::PipelineCompilationOptions {
+            constants: &constants,
+            ..Default::default()
+        };
+        let counts = variant.counting.then(|| Counter::layout(device));
+        let object = self.object_layout();
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&self.shared_layout), counts.as_ref(), Some(&object)],
+            immediate_size: 0,
+        });
+        let back_to_front = variant.order == SliceOrder::BackToFront;
+        let corner = wgpu::VertexBufferLayout {
+            array_stride: size_of::<Corner>() as u64,
+            step_mode: wgpu::VertexStepMode::Vertex,
+            attributes: &wgpu::vertex_attr_array![0 => Float32x4],
+        };
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("surfaces in slices"),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("vertex"),
+                compilation_options: options.clone(),
+                buffers: &[Some(corner)],
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: MASK,
+                depth_write_enabled: Some(back_to_front),
+                depth_compare: Some(if back_to_front {
+                    wgpu::CompareFunction::LessEqual
+                } else {
+                    wgpu::CompareFunction::Less
+                }),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some(if back_to_front {
+                    "fragment"
+                } else {
+                    "fragment_under"
+                }),
+                compilation_options: options,
+                targets: &[Some(color_target(&variant))],
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
+    }
+}
+
 impl Renderer {
+    /// The bindings of the surfaces that slices sample.
+    fn sliced_surface_groups(&mut self, scene: &Prepared) -> Result<Vec<wgpu::BindGroup>> {
+        let mut groups = Vec::new();
+        for (n, object) in scene.surfaces.objects.iter().enumerate() {
+            if scene.is_sliced(object) {
+                groups.push(
+                    self.scene
+                        .surfaces
+                        .bind_object(&self.context, n, scene, object)?
+                        .0,
+                );
+            }
+        }
+        Ok(groups)
+    }
+
     /// Draws slabs of slices in the scene's order.
     pub(super) fn draw_slices(&mut self, draw: &Draw) -> Result<()> {
         let scene = draw.scene;
@@ -87,6 +176,7 @@ impl Renderer {
                 ..wgpu::Color::TRANSPARENT
             },
         };
+        let surfaces = self.sliced_surface_groups(scene)?;
         let mut pending = PendingSubmissions::default();
         let mut encoder = self.context.encoder();
         targets
@@ -101,6 +191,7 @@ impl Renderer {
             &targets,
             &slabs,
             slices.slices_per_slab,
+            &surfaces,
             &mut encoder,
             &mut pending,
         )?;
@@ -178,6 +269,7 @@ impl Context {
         targets: &SliceTargets,
         slabs: &[Range<u32>],
         slices_per_slab: u32,
+        surfaces: &[wgpu::BindGroup],
         encoder: &mut wgpu::CommandEncoder,
         pending: &mut PendingSubmissions,
     ) -> Result<()> {
@@ -190,7 +282,16 @@ impl Context {
         let pipeline = &self.pipeline(draw.variant(self, Program::Slice));
         let canvas = targets.canvas(wgpu::LoadOp::Load, wgpu::LoadOp::Load);
         let samples_per_slab = u64::from(width) * u64::from(height) * u64::from(slices_per_slab);
-        let slabs_at_once = SLICES_PER_MASK.div_ceil(slices_per_slab) as usize;
+        // Volume and surfaces take turns, slice by slice.
+        let slabs_at_once = if surfaces.is_empty() {
+            SLICES_PER_MASK.div_ceil(slices_per_slab) as usize
+        } else {
+            1
+        };
+        let back_to_front = scene.settings.slice_order == SliceOrder::BackToFront;
+        let shows_volume = scene.shows_volume() && !scene.frame.proxy.is_empty();
+        let of_surfaces = (!surfaces.is_empty())
+            .then(|| self.slice_surface_pipeline(draw.variant(self, Program::SliceSurface)));
         let mut samples = 0;
         let mut groups = slabs
             .chunks(slabs_at_once)
@@ -199,10 +300,29 @@ impl Context {
             .peekable();
         while let Some((n, (count, corners))) = groups.next() {
             canvas.pass(draw.clock, encoder, |pass| {
-                pass.set_pipeline(pipeline);
-                draw.bind(pass);
                 pass.set_vertex_buffer(0, targets.vertices.slice(..));
-                pass.draw(corners, 0..1);
+                let of_volume = |pass: &mut wgpu::RenderPass| {
+                    if shows_volume {
+                        pass.set_pipeline(pipeline);
+                        draw.bind(pass);
+                        pass.draw(corners.clone(), 0..1);
+                    }
+                };
+                // A hit lies in front of its slice.
+                if back_to_front {
+                    of_volume(pass);
+                }
+                if let Some(pipeline) = &of_surfaces {
+                    pass.set_pipeline(pipeline);
+                    draw.bind(pass);
+                    for surface in surfaces {
+                        pass.set_bind_group(2, surface, &[]);
+                        pass.draw(corners.clone(), 0..1);
+                    }
+                }
+                if !back_to_front {
+                    of_volume(pass);
+                }
             });
             // Only where the next slabs are.
             if let (Some(masked), Some((_, (_, next)))) = (&masked, groups.peek()) {

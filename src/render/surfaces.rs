@@ -186,6 +186,10 @@ impl Renderer {
         let count = scene.surfaces.objects.len();
         for (n, object) in scene.surfaces.objects.iter().enumerate() {
             let (group, corners) = self.scene.surfaces.bind_object(&self.context, n, scene, object)?;
+            if scene.is_sliced(object) {
+                // Slices sample it themselves.
+                continue;
+            }
             let nothing_behind = self.scene.group(&self.context, shared, None);
             match (object.stage, &corners) {
                 (Stage::Triangles, Some(corners)) => {
