@@ -3,7 +3,7 @@
 use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
 use incise::prepare::{Assets, Prepared};
-use incise::scene::{Mode, Normals, Scene};
+use incise::scene::{Mode, Normals, Scene, SliceOrder};
 use std::path::PathBuf;
 
 /// The scene files, by name.
@@ -62,6 +62,8 @@ pub fn skipping_and_termination_change_nothing() {
         scene.render.size = [96, 96];
         for mode in [Mode::Raycast, Mode::Slice] {
             scene.render.mode = mode;
+            // Slices end early only in this order.
+            scene.render.slice_order = SliceOrder::FrontToBack;
             let render = |skipping: bool, termination: bool| {
                 let mut s = scene.clone();
                 s.render.empty_space_skipping = skipping;

@@ -81,6 +81,7 @@ const BUNNY: &str = r#"
 incise = 1
 [[mesh]]
 path = "bunny.obj"
+size = 100.0
 [[deformation]]
 kind = "twist"
 size = 60.0

@@ -73,7 +73,14 @@ pub fn slices_approach_rays() {
 /// hollow, thick or solid, alone or in a volume. In an orthographic view that is what rays find with
 /// even steps.
 pub fn slices_show_surfaces() {
-    for name in ["gyroid", "bunny-twist", "apple-hollow", "apple-thick", "apple-solid", "head-with-nuclei"] {
+    for name in [
+        "gyroid",
+        "bunny-twist",
+        "apple-hollow",
+        "apple-thick",
+        "apple-solid",
+        "head-with-nuclei",
+    ] {
         let (mut scene, assets) = without_early_end(name);
         scene.camera.projection = Projection::Orthographic;
         scene.surface.steps = Steps::Uniform;
@@ -86,7 +93,11 @@ pub fn slices_show_surfaces() {
         let [slices, rays] = [Mode::Slice, others].map(|mode| {
             scene.render.mode = mode;
             let prepared = Prepared::new(&scene, &assets).unwrap();
-            assert_eq!(prepared.sliced_surfaces().count() > 0, mode == Mode::Slice, "{name}");
+            assert_eq!(
+                prepared.sliced_surfaces().count() > 0,
+                mode == Mode::Slice,
+                "{name}"
+            );
             picture(&prepared)
         });
         let d = difference(&slices, &rays).unwrap();

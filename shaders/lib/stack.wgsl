@@ -226,10 +226,11 @@ fn map_slopes(k: u32, x: vec3<f32>) -> MapSlopes {
     );
     let one = mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
     let j = d_local_d_map * (one + mat3x3<f32>(a.xyz, b.xyz, c.xyz) * scale) * d_map_d_local - one;
-    let to = world_from_local(k);
-    let from = mat3x3<f32>(inverse[0] * box, inverse[1] * box, inverse[2] * box);
+    let linear = world_from_local(k);
+    let local_from_world = mat3x3<f32>(inverse[0] * box, inverse[1] * box, inverse[2] * box);
     return MapSlopes(
-        to * j * from, transpose(from) * (transpose(d_map_d_local) * vec3<f32>(a.w, b.w, c.w))
+        linear * j * local_from_world,
+        transpose(local_from_world) * (transpose(d_map_d_local) * vec3<f32>(a.w, b.w, c.w)),
     );
 }
 

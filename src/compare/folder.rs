@@ -1,7 +1,7 @@
 //! A comparison as a folder: pictures, differences, and the numbers as a page and as JSON and CSV.
 
 use super::curves::{EqualError, RendererCost, equal_errors};
-use super::method::explanation;
+use super::explanation::explanation;
 use super::metrics::difference_picture;
 use super::report::{Encoded, Report, RunPair, VERSION};
 use super::run::{Run, mode_name, samples, stage_milliseconds};

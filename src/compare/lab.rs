@@ -279,7 +279,12 @@ fn work(plan: &Plan, gpu: bool) -> f32 {
         } else {
             0.0
         };
-    let kinds = BTreeSet::from_iter(plan.modes.iter().map(|m| *m == Mode::Surface || plan.scene.volume.is_none())).len();
+    let kinds = BTreeSet::from_iter(
+        plan.modes
+            .iter()
+            .map(|m| *m == Mode::Surface || plan.scene.volume.is_none()),
+    )
+    .len();
     let references = plan.reference.map_or(0.0, |s| kinds as f32 / s);
     let pixels: f32 = plan.sizes.iter().copied().map(area).sum();
     let of_slices = plan.modes.iter().filter(|m| **m == Mode::Slice).count();

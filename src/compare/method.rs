@@ -1,10 +1,8 @@
-//! How a run was made: what a reader must know to tell where a difference between two pictures
+//! How a picture was made: what a reader must know to tell where a difference between two pictures
 //! comes from.
 
-use super::run::Run;
 use crate::prepare::Prepared;
 use crate::scene::{BlendFormat, Mode, Normals, Projection, Scene, SliceOrder};
-use crate::transfer::Blend;
 use serde::Serialize;
 
 /// The options of slices that a comparison varies.
@@ -82,7 +80,7 @@ impl Method {
     /// Of a prepared scene; `filter` is that of the device.
     pub fn of(scene: &Scene, prepared: &Prepared, filter: &'static str) -> Self {
         let settings = &prepared.settings;
-        let composite = prepared.volume().blend == Blend::Composite;
+        let composite = prepared.is_composite();
         let is_slice = settings.mode == Mode::Slice;
         Self {
             samples: match settings.mode {
@@ -126,50 +124,4 @@ impl Method {
             is_perspective: prepared.frame.view.projection == Projection::Perspective,
         }
     }
-}
-
-/// Why the pictures of the runs differ, one sentence each.
-pub(super) fn explanation(runs: &[Run]) -> Vec<String> {
-    let shown: Vec<&Run> = runs.iter().filter(|run| !run.is_reference).collect();
-    let differ = |of: fn(&Run) -> &'static str| shown.windows(2).any(|w| of(w[0]) != of(w[1]));
-    let has = |mode: Mode| shown.iter().any(|run| run.mode == mode);
-    let mut sentences = Vec::new();
-    if has(Mode::Slice) && has(Mode::Raycast) {
-        if shown.iter().any(|run| run.method.is_perspective) {
-            sentences.push(
-                "In perspective, slices and rays sample different points: a slice lies at one depth, hence its samples are Δ / cos θ apart along a ray at the angle θ to the view direction; a ray's samples are Δ apart everywhere. Both approximate the same integral, and their difference falls with the step."
-                    .to_owned(),
-            );
-        } else {
-            sentences.push(
-                "In an orthographic view slices and rays take the same samples: what differs is rounding, and what the points below add."
-                    .to_owned(),
-            );
-        }
-    }
-    if differ(|run| run.method.early_stop) {
-        sentences.push(
-            "Rays, and slices drawn front to back, end where less than 1/512 of the light passes; slices drawn back to front composite everything. What is left out is at most half of an 8-bit step."
-                .to_owned(),
-        );
-    }
-    if shown.iter().any(|run| run.method.blend_format.starts_with("16")) {
-        sentences.push(
-            "In 16 bits the picture is rounded to 11 significant bits after every slice. Over hundreds of thin slices this adds up to a few 8-bit steps where a picture is nearly opaque; slabs round less often."
-                .to_owned(),
-        );
-    }
-    if shown.iter().any(|run| run.method.slab.is_some_and(|n| n > 1)) {
-        sentences.push(
-            "A slab composites several slices inside one fragment before it is blended: the same samples, fewer roundings, less memory traffic."
-                .to_owned(),
-        );
-    }
-    if differ(|run| run.method.filter) {
-        sentences.push(
-            "The renderers interpolate voxels with different precision; hardware filters have weights of 8 bits."
-                .to_owned(),
-        );
-    }
-    sentences
 }

@@ -14,6 +14,7 @@
 //! renderer ([`run`]) and [`Report::new`]. Then [`Report::write`].
 
 mod curves;
+mod explanation;
 mod folder;
 pub mod lab;
 mod method;

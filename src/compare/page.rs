@@ -4,7 +4,7 @@
 //! opened offline.
 
 use super::curves::{self, Curve, CurvePoint, EqualError, MIN_ERROR};
-use super::method::explanation;
+use super::explanation::explanation;
 use super::plot::{self, Bar, Dot, PlotAxis, PlotSeries, escaped, number};
 use super::report::{Encoded, Protocol, Report, VERSION};
 use super::run::{Run, ViewKey, renderer_name, samples, stage_milliseconds};

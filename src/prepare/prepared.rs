@@ -230,6 +230,11 @@ impl<'a> Prepared<'a> {
         self.settings.early_termination && in_order
     }
 
+    /// Whether samples are composited, rather than projected.
+    pub fn is_composite(&self) -> bool {
+        self.volume().blend == Blend::Composite
+    }
+
     /// Whether samples are lit.
     pub fn is_lit(&self) -> bool {
         self.settings.normals != Normals::None && self.volume().blend == Blend::Composite

@@ -323,8 +323,8 @@ fn finish_all(
     inputs: &StackInputs,
 ) -> Result<Vec<PlacedMap>> {
     let common = ["mapping", "fade", "spare"];
-    let asked = common.iter().find(|n| deformation.parameters.0.contains_key(**n));
-    match (asked, placed.len()) {
+    let stated = common.iter().find(|n| deformation.parameters.0.contains_key(**n));
+    match (stated, placed.len()) {
         (Some(name), 2..) => Err(Error::value(
             *name,
             "a chain of transforms is several maps; bake it into one field first",
