@@ -151,7 +151,7 @@ const ACTS: &[(&str, &str, &str, bool)] = &[
     (VOLUME, "camera.field_of_view", "60.0", true),
     (VOLUME, "camera.roll", "20.0", true),
     (VOLUME, "camera.target", "[20.0, 0.0, 0.0]", true),
-    (VOLUME, "transfer.preset", "\"ct-bone\"", true),
+    (VOLUME, "transfer.preset", "\"ct-bones-and-muscle\"", true),
     (VOLUME, "transfer.window", "300.0", true),
     (VOLUME, "transfer.level", "300.0", true),
     (SLICES, "transfer.density", "0.2", true),

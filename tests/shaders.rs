@@ -157,7 +157,7 @@ pub fn counterparts_exist() {
             &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..],
         ),
         (
-            "shaders/lib/composite.wgsl",
+            "shaders/lib/found.wgsl",
             "src/cpu/mod.rs",
             &[(
                 "MIN_TRANSMITTANCE: f32 = 1.0 / 512.0",

@@ -185,6 +185,8 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         scene.render.size = [200, 200];
         scene.render.step = step;
         scene.camera.zoom = 0.55;
+        // The spike lies between two samples of even steps.
+        scene.camera.target = Some([0.0, 2.34, 0.0]);
         scene.surface.steps = steps;
         scene.surface.threshold = 8.0;
         scene.render.empty_space_skipping = false;
@@ -222,8 +224,8 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
             .map(|p| p[3] > 0.5)
             .collect()
     };
-    let coarse = 12.0;
-    let reference = hits(Steps::Uniform, coarse / 32.0);
+    let coarse = 6.0;
+    let reference = hits(Steps::Uniform, coarse / 16.0);
     let missed = |steps| {
         hits(steps, coarse)
             .iter()
@@ -248,7 +250,7 @@ pub fn narrow_pull_is_found_by_jacobian_steps() {
         "the scene is no test: {uniform}, {threshold}"
     );
     // The rate at a sample tells little of a pull between two samples.
-    assert!(jacobian < uniform);
+    assert!(2 * jacobian < uniform);
     assert_eq!((bound, sphere), (0, 0));
 }
 

@@ -169,7 +169,7 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
             changed = changes(before, here);
             let blind = here.t - before.t;
             if !changed && object.steps == STEPS_SPHERE && may_hide_a_surface(before, here, slope)
-                && blind > 2.0 * max(least, MIN_BLIND_STEP * object.step_mm / max(slope, 1.0)) {
+                && blind > 2.0 * max(least, MIN_BLIND_STEP * object.resolution_mm / max(slope, 1.0)) {
                 longest_blind = 0.5 * blind;
                 continue;
             }

@@ -44,7 +44,7 @@ const MIN_SPHERE_STEP: f32 = 0.25;
 const THRESHOLD_STEP: f32 = 0.25;
 /// Jacobian steps are at most this many even steps, and at least the reciprocal.
 const MAX_JACOBIAN_STEP: f32 = 8.0;
-/// Between two samples of one sign a surface is searched for down to this fraction of an even step.
+/// Between two samples of one sign a surface is searched for down to this fraction of a cell.
 const MIN_BLIND_STEP: f32 = 1.0 / 64.0;
 /// Interpolated fields are slightly steeper than distances.
 const SLOPE_MARGIN: f32 = 1.1;
@@ -382,7 +382,7 @@ pub fn trace(
             // Two sign changes may hide between the samples: look between them. (Twice the least
             // length, since lengths are rounded.)
             let blind = here.t - before.t;
-            if blind > 2.0 * least.max(MIN_BLIND_STEP * object.step_mm / slope.max(1.0)) {
+            if blind > 2.0 * least.max(MIN_BLIND_STEP * object.cell_mm / slope.max(1.0)) {
                 longest_blind = 0.5 * blind;
                 continue;
             }

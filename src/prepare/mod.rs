@@ -19,6 +19,7 @@ mod mesh_settings;
 mod object_cache;
 pub mod objects;
 mod prepared;
+mod resolve;
 mod sampled;
 pub mod slices;
 mod spacing;

@@ -1,29 +1,20 @@
 //! A scene resolved for rendering: the input of every backend.
 
-use super::PrepareOptions;
-use super::assets::Assets;
-use super::deformed::Deformed;
-use super::idle::{IdleSetting, stated_in_vain};
-use super::objects::{SurfaceObject, Surfaces};
-use super::slices::{Proxy, SlicePolygons};
-use super::spacing::{SampleSpacing, blend_mm, cut_margin_mm};
+use super::objects::Surfaces;
+use super::spacing::{SampleSpacing, cut_margin_mm};
 use super::stack::Composition;
-use super::tears::{self, Tear};
-use super::volume::{Classifier, VolumeObject};
-use crate::Result;
+use super::tears::Tear;
+use super::volume::VolumeObject;
 use crate::deform::Stack;
 use crate::deform::cut::CutShapes;
-use crate::math::{Bounds, normalize_or};
+use crate::math::Bounds;
 use crate::mesh::Mesh;
 use crate::picture::StageTimes;
-use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, Scene, SliceOrder, ViewFrame};
+use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, SliceOrder, ViewFrame};
 use crate::transfer::Blend;
 use crate::volume::{GradientFilter, GradientVolume};
 use glam::Vec3;
 use std::sync::Arc;
-
-/// A displacement on the face of a map's box that is not seen, voxels.
-const TEAR_TOLERANCE: f32 = 0.5;
 
 /// The constants of one picture.
 #[derive(Clone, Debug)]
@@ -71,152 +62,6 @@ pub struct Prepared<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    /// Resolves a scene.
-    ///
-    /// # Errors
-    /// Any invalid setting, by name.
-    pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
-        Self::with(scene, assets, &PrepareOptions::default())
-    }
-
-    /// As [`Self::new`], with an accelerator, additional maps, or cancellation.
-    ///
-    /// # Errors
-    /// As [`Self::new`]; any error of the accelerator;
-    /// [`Error::Cancelled`](crate::Error::Cancelled).
-    pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
-        scene.check()?;
-        let mut stages = StageTimes::default();
-        let settings = scene.render.clone();
-        let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
-        let scene_box = assets.scene_box();
-        let mut view = scene.camera.frame(&scene_box, settings.size)?;
-        let reference_mm = assets.volume.spacing_mm().min_element() as f32;
-        let mut spacing = SampleSpacing {
-            step_mm: settings.step * reference_mm,
-            reference_mm,
-            blend_mm: blend_mm(settings.step, reference_mm),
-        };
-        let deformed = stages.time("maps", || -> Result<_> {
-            let deformed = Deformed::in_view(scene, assets, &view, options)?;
-            if options.accelerator.needs_texels() {
-                deformed.stack.fetch_texels();
-            }
-            Ok(deformed)
-        })?;
-        view.step_back_from(&deformed.stack.deformed_bounds(&scene_box), spacing.step_mm);
-        let surfaces = stages.time("surfaces", || {
-            assets.surfaces(scene, &deformed.stack, &deformed.cuts)
-        })?;
-        // Without a volume the step is that of the finest surface.
-        let finest = surfaces
-            .objects
-            .iter()
-            .map(|o| o.cell_mm)
-            .fold(f32::INFINITY, f32::min);
-        if !assets.has_volume && finest.is_finite() {
-            (spacing.reference_mm, spacing.step_mm) = (finest, settings.step * finest);
-        }
-        let volume = stages.time("macrocells", || {
-            VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options)
-        })?;
-        let tears = stages.time("tears", || {
-            let is_matter = |source: Vec3| {
-                volume.shows(source) || surfaces.objects.iter().any(|o| !o.rigid && o.contains(source))
-            };
-            tears::tears(&deformed, &scene_box, TEAR_TOLERANCE * reference_mm, is_matter)
-        });
-        let light = scene.light.clone();
-        let to_light = to_light(&light, &view);
-        let Deformed {
-            stack,
-            cuts,
-            composition,
-            proxy_mesh,
-            ..
-        } = deformed;
-        let frame = Frame {
-            view,
-            size: settings.size.map(|n| n * settings.antialias),
-            spacing,
-            proxy: volume.macrocells.occupied,
-            to_light,
-        };
-        let mut prepared = Self {
-            volumes: vec![volume],
-            surfaces,
-            stack,
-            cuts,
-            proxy_mesh,
-            composition,
-            frame,
-            light,
-            settings,
-            density: scene.transfer.density,
-            notices: composition
-                .and_then(|c| c.notice())
-                .into_iter()
-                .chain(tears::notices(&tears))
-                .collect(),
-            tears,
-            stages,
-        };
-        let idle = stated_in_vain(&prepared, scene);
-        prepared.notices.extend(idle.iter().map(IdleSetting::notice));
-        Ok(prepared)
-    }
-
-    /// The surfaces that slices sample as objects beside the volume: those with a distance field. In
-    /// other modes there are none; nor in front of a projection, which has no order.
-    pub fn sliced_surfaces(&self) -> impl Iterator<Item = &SurfaceObject> {
-        self.surfaces
-            .objects
-            .iter()
-            .filter(|object| self.is_sliced(object))
-    }
-
-    /// Whether slices sample a surface.
-    pub fn is_sliced(&self, object: &SurfaceObject) -> bool {
-        self.settings.mode == Mode::Slice
-            && self.volume().blend == Blend::Composite
-            && object.implicit.is_some()
-    }
-
-    /// Whether there are surfaces that are drawn before the volume, as opaque pixels behind it.
-    pub fn has_surfaces_behind(&self) -> bool {
-        self.sliced_surfaces().count() < self.surfaces.objects.len()
-    }
-
-    /// Whether slices have anything to sample.
-    pub fn has_slices(&self) -> bool {
-        self.settings.mode == Mode::Slice
-            && (self.shows_volume() && !self.frame.proxy.is_empty()
-                || self.sliced_surfaces().next().is_some())
-    }
-
-    /// The polygons of the slices that can show anything. Slices with surfaces are drawn one by one.
-    pub fn slice_polygons(&self) -> SlicePolygons {
-        let proxy = Proxy {
-            cells: &self.volume().macrocells,
-            mesh: self.proxy_mesh.as_deref(),
-            others: self
-                .sliced_surfaces()
-                .map(|object| object.cells.grid.occupied)
-                .collect(),
-        };
-        let shift = if self.settings.jitter { 0.5 } else { 0.0 };
-        SlicePolygons::of(&self.frame, &proxy, self.slices_per_slab(), shift)
-    }
-
-    /// Slices composited inside one fragment.
-    pub fn slices_per_slab(&self) -> u32 {
-        if self.sliced_surfaces().next().is_some() {
-            1
-        } else {
-            self.settings.slab
-        }
-    }
-
     /// The first volume.
     #[inline(always)]
     pub fn volume(&self) -> &VolumeObject<'a> {
@@ -314,15 +159,4 @@ impl<'a> Prepared<'a> {
     pub fn gradient_filter(&self) -> GradientFilter {
         self.settings.gradient
     }
-}
-
-/// The unit vector towards a light, world.
-fn to_light(light: &Light, view: &ViewFrame) -> Vec3 {
-    let d = Vec3::from(light.direction);
-    let to_light = if light.follows_camera {
-        normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z
-    } else {
-        d
-    };
-    normalize_or(to_light, -view.forward)
 }

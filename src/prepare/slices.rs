@@ -8,11 +8,13 @@
 //! at the box's face belongs to the volume is then decided by the sample, never by how the polygon
 //! happens to be rasterised.
 
-use super::{Frame, Macrocells};
+use super::objects::SurfaceObject;
+use super::{Frame, Macrocells, Prepared};
 use crate::math::Bounds;
 use crate::mesh::Mesh;
 use crate::mesh::contour::{Planes, sections};
-use crate::scene::Projection;
+use crate::scene::{Mode, Projection};
+use crate::transfer::Blend;
 use glam::{Vec2, Vec3};
 use std::ops::Range;
 
@@ -258,6 +260,59 @@ fn crossings(corners: &[Vec3; 8], side: &[f32; 8]) -> Vec<Vec3> {
         }
     }
     points
+}
+
+impl Prepared<'_> {
+    /// The surfaces that slices sample as objects beside the volume: those with a distance field. In
+    /// other modes there are none; nor in front of a projection, which has no order.
+    pub fn sliced_surfaces(&self) -> impl Iterator<Item = &SurfaceObject> {
+        self.surfaces
+            .objects
+            .iter()
+            .filter(|object| self.is_sliced(object))
+    }
+
+    /// Whether slices sample a surface.
+    pub fn is_sliced(&self, object: &SurfaceObject) -> bool {
+        self.settings.mode == Mode::Slice
+            && self.volume().blend == Blend::Composite
+            && object.implicit.is_some()
+    }
+
+    /// Whether there are surfaces that are drawn before the volume, as opaque pixels behind it.
+    pub fn has_surfaces_behind(&self) -> bool {
+        self.sliced_surfaces().count() < self.surfaces.objects.len()
+    }
+
+    /// Whether slices have anything to sample.
+    pub fn has_slices(&self) -> bool {
+        self.settings.mode == Mode::Slice
+            && (self.shows_volume() && !self.frame.proxy.is_empty()
+                || self.sliced_surfaces().next().is_some())
+    }
+
+    /// The polygons of the slices that can show anything. Slices with surfaces are drawn one by one.
+    pub fn slice_polygons(&self) -> SlicePolygons {
+        let proxy = Proxy {
+            cells: &self.volume().macrocells,
+            mesh: self.proxy_mesh.as_deref(),
+            others: self
+                .sliced_surfaces()
+                .map(|object| object.cells.grid.occupied)
+                .collect(),
+        };
+        let shift = if self.settings.jitter { 0.5 } else { 0.0 };
+        SlicePolygons::of(&self.frame, &proxy, self.slices_per_slab(), shift)
+    }
+
+    /// Slices composited inside one fragment.
+    pub fn slices_per_slab(&self) -> u32 {
+        if self.sliced_surfaces().next().is_some() {
+            1
+        } else {
+            self.settings.slab
+        }
+    }
 }
 
 #[cfg(test)]

@@ -57,6 +57,7 @@ pub(super) fn tears(
     is_matter: impl Fn(Vec3) -> bool,
 ) -> Vec<Tear> {
     let maps = deformed.stack.maps();
+    let scene = scene_box.grown(-2.0 * tolerance_mm);
     let mut found: Vec<Tear> = Vec::new();
     for (n, map) in maps.iter().enumerate() {
         let moves = map.map.has_displacement();
@@ -78,7 +79,9 @@ pub(super) fn tears(
         };
         for (face, name) in names.into_iter().enumerate().filter(|(_, name)| !name.is_empty()) {
             let amount_mm = amount_on(map, face, tolerance_mm, &|outside, inside| {
-                is_matter(source(outside)) || is_matter(source(inside))
+                // Where the scene itself ends, nothing is torn off.
+                let is_within = outside.cmpgt(scene.min).all() && outside.cmplt(scene.max).all();
+                is_matter(source(outside)) || is_within && is_matter(source(inside))
             });
             if amount_mm > tolerance_mm {
                 found.push(Tear {

@@ -86,7 +86,7 @@ const BAD_DEFORMATIONS: &[(&str, &str)] = &[
     ("field:path=nowhere.nii.gz", "nowhere.nii.gz"),
     ("field", "path"),
     ("field:pth=affine.tfm", "path"),
-    ("field:path=affine.tfm,center=1,2,3", "center"),
+    ("field:path=affine.tfm,fade=-1", "fade"),
     ("map:path=field.nrrd", "field:path"),
     ("map:path=words.txt", "words.txt"),
     ("points", "pairs"),

@@ -180,10 +180,6 @@ fn check_refused_scenes(folder: &Path) {
         ),
         ("incise = 1\n[[mesh]]\niso = 3.0\n", "volume"),
         (
-            "incise = 1\n[volume]\npath = \"phantom:ball\"\n[volume.inside]\npath = \"open.obj\"\n",
-            "encloses nothing",
-        ),
-        (
             "incise = 1\n[volume]\npath = \"phantom:ball\"\n[[mesh]]\nlabel = [77]\n",
             "label",
         ),

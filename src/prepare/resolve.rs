@@ -1,0 +1,126 @@
+//! Resolves a scene against its assets.
+
+use super::PrepareOptions;
+use super::assets::Assets;
+use super::deformed::Deformed;
+use super::idle::{IdleSetting, stated_in_vain};
+use super::prepared::{Frame, Prepared};
+use super::spacing::{SampleSpacing, blend_mm};
+use super::tears;
+use super::volume::{Classifier, VolumeObject};
+use crate::Result;
+use crate::math::normalize_or;
+use crate::picture::StageTimes;
+use crate::scene::{Light, Scene, ViewFrame};
+use glam::Vec3;
+
+/// A displacement on the face of a map's box that is not seen, voxels.
+const TEAR_TOLERANCE: f32 = 0.5;
+
+impl<'a> Prepared<'a> {
+    /// Resolves a scene.
+    ///
+    /// # Errors
+    /// Any invalid setting, by name.
+    pub fn new(scene: &Scene, assets: &'a Assets) -> Result<Self> {
+        Self::with(scene, assets, &PrepareOptions::default())
+    }
+
+    /// As [`Self::new`], with an accelerator, additional maps, or cancellation.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; any error of the accelerator;
+    /// [`Error::Cancelled`](crate::Error::Cancelled).
+    pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
+        scene.check()?;
+        let mut stages = StageTimes::default();
+        let settings = scene.render.clone();
+        let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
+        let scene_box = assets.scene_box();
+        let mut view = scene.camera.frame(&scene_box, settings.size)?;
+        let reference_mm = assets.volume.spacing_mm().min_element() as f32;
+        let mut spacing = SampleSpacing {
+            step_mm: settings.step * reference_mm,
+            reference_mm,
+            blend_mm: blend_mm(settings.step, reference_mm),
+        };
+        let deformed = stages.time("maps", || -> Result<_> {
+            let deformed = Deformed::in_view(scene, assets, &view, options)?;
+            if options.accelerator.needs_texels() {
+                deformed.stack.fetch_texels();
+            }
+            Ok(deformed)
+        })?;
+        view.step_back_from(&deformed.stack.deformed_bounds(&scene_box), spacing.step_mm);
+        let surfaces = stages.time("surfaces", || {
+            assets.surfaces(scene, &deformed.stack, &deformed.cuts)
+        })?;
+        // Without a volume the step is that of the finest surface.
+        let finest = surfaces
+            .objects
+            .iter()
+            .map(|o| o.cell_mm)
+            .fold(f32::INFINITY, f32::min);
+        if !assets.has_volume && finest.is_finite() {
+            (spacing.reference_mm, spacing.step_mm) = (finest, settings.step * finest);
+        }
+        let volume = stages.time("macrocells", || {
+            VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options)
+        })?;
+        let tears = stages.time("tears", || {
+            let is_matter = |source: Vec3| {
+                volume.shows(source) || surfaces.objects.iter().any(|o| !o.rigid && o.contains(source))
+            };
+            tears::tears(&deformed, &scene_box, TEAR_TOLERANCE * reference_mm, is_matter)
+        });
+        let light = scene.light.clone();
+        let to_light = to_light(&light, &view);
+        let Deformed {
+            stack,
+            cuts,
+            composition,
+            proxy_mesh,
+            ..
+        } = deformed;
+        let frame = Frame {
+            view,
+            size: settings.size.map(|n| n * settings.antialias),
+            spacing,
+            proxy: volume.macrocells.occupied,
+            to_light,
+        };
+        let mut prepared = Self {
+            volumes: vec![volume],
+            surfaces,
+            stack,
+            cuts,
+            proxy_mesh,
+            composition,
+            frame,
+            light,
+            settings,
+            density: scene.transfer.density,
+            notices: composition
+                .and_then(|c| c.notice())
+                .into_iter()
+                .chain(tears::notices(&tears))
+                .collect(),
+            tears,
+            stages,
+        };
+        let idle = stated_in_vain(&prepared, scene);
+        prepared.notices.extend(idle.iter().map(IdleSetting::notice));
+        Ok(prepared)
+    }
+}
+
+/// The unit vector towards a light, world.
+fn to_light(light: &Light, view: &ViewFrame) -> Vec3 {
+    let d = Vec3::from(light.direction);
+    let to_light = if light.follows_camera {
+        normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z
+    } else {
+        d
+    };
+    normalize_or(to_light, -view.forward)
+}
