@@ -94,9 +94,9 @@ pub fn edits_upload_what_changed() {
         let assets = scenes::assets(&scene);
         work_of(&mut renderer, &scene, &assets);
         // The second picture of a volume uploads its gradients, which requires new bind groups: for
-        // the scene, and for the slices' mask.
+        // the scene, and for rays by compute invocations.
         let work = work_of(&mut renderer, &scene, &assets);
-        let bind_groups_created = if mode == Mode::Slice || renderer.strategy().compute_rays {
+        let bind_groups_created = if mode == Mode::Raycast && renderer.strategy().compute_rays {
             2
         } else {
             1

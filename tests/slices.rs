@@ -170,7 +170,11 @@ pub fn options_of_slices_agree() {
                         d.mean / STEP,
                         d.max / STEP
                     );
-                    assert!(d.mean <= bound * STEP && d.within_4 >= 0.999, "{what}: {d:?}");
+                    // In 16 bits the last layers in front of an opaque one are lost in the rounding of
+                    // 1 - alpha, which devices round differently.
+                    let stalls = format == BlendFormat::Float16 && order == SliceOrder::FrontToBack;
+                    let within = if stalls { 0.99 } else { 0.999 };
+                    assert!(d.mean <= bound * STEP && d.within_4 >= within, "{what}: {d:?}");
                 }
             }
         }

@@ -402,17 +402,24 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     }
     let (values, settings) = kind.resolve(&deformation.parameters, size_mm)?;
     let storage = inputs.storage.or(deformation.storage).unwrap_or_default();
+    let cube = placement.scaled(Vec3::splat(kind.cube_scale))?;
+    let cylindrical = is_cylindrical(deformation)?;
+    // Laid round an axis, the map's lengths across its cuts become shorter.
+    let shrinks = if cylindrical {
+        let round = Cylinder::new(&cube, 2);
+        (size_mm.z / round.radius_mm).max(size_mm.y / size_mm.z).max(1.0)
+    } else {
+        1.0
+    };
     let sampling = Sampling {
         resolution: deformation.resolution,
         storage,
-        min_ramp_mm: inputs.min_ramp_mm,
+        min_ramp_mm: inputs.min_ramp_mm * shrinks,
     };
     // The box's local millimetres: from its centre, along its axes.
     let world_from_local = placement.world_from_map
         * Affine3A::from_translation(Vec3::splat(0.5))
         * Affine3A::from_scale(size_mm.recip());
-    let cube = placement.scaled(Vec3::splat(kind.cube_scale))?;
-    let cylindrical = is_cylindrical(deformation)?;
     let kind_inputs = FieldInputs {
         settings: &settings,
         world_from_local,
