@@ -93,12 +93,6 @@ fn sample_texture(t: texture_3d<f32>, p: vec3<f32>, size: vec3<f32>, per_size: v
     return mixed(t, select((p + 0.5) * texels / size - 0.5, p, texels == size));
 }
 
-// The normalised value at a position in voxels.
-fn sample_volume(p: vec3<f32>) -> f32 {
-    return sample_texture(volume, p, frame.texture_size, frame.per_texture_size).r * frame.value_scale
-        + frame.value_offset;
-}
-
 // f(+1) - f(-1) along i, j, k of the stored values, as fractions of 32767, and the normalised
 // value.
 fn sample_gradients(p: vec3<f32>) -> vec4<f32> {

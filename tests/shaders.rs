@@ -8,7 +8,7 @@ use incise::render::uniforms::{
 };
 
 fn module(program: Program, counting: bool) -> naga::Module {
-    let source = program.source(incise::render::constants::wgsl_constants(), counting);
+    let source = program.source(incise::render::constants::wgsl_constants(), counting, None);
     naga::front::wgsl::parse_str(&source)
         .unwrap_or_else(|e| panic!("{program:?}: {}", e.emit_to_string(&source)))
 }
@@ -280,6 +280,11 @@ const PAIRS: &[(&str, &str, &str)] = &[
         "src/mesh/implicit.rs",
         "shaders/lib/implicit.wgsl",
         "value=implicit_value gradient=implicit_gradient",
+    ),
+    (
+        "src/volume/function/evaluate.rs",
+        "shaders/lib/noise.wgsl",
+        "noise",
     ),
     ("src/math/light.rs", "shaders/lib/light.wgsl", "shine"),
     ("src/math/mod.rs", "shaders/lib/math.wgsl", "normalize_or"),

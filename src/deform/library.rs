@@ -8,6 +8,7 @@ use super::{Arguments, DisplacementMap, PrecomposedMap, Stack};
 use crate::files::path_text::path_of;
 use crate::math::{Bounds, DistanceGrid};
 use crate::volume::load::{self, ReadOptions};
+use crate::volume::phantom::is_procedural;
 use crate::volume::{GridGeometry, Volume};
 use crate::{Error, Result, Watch};
 use std::collections::HashMap;
@@ -93,7 +94,7 @@ impl Library {
 
     /// A path resolved for this process.
     pub fn path(&self, path: &str) -> PathBuf {
-        if path.starts_with("phantom:") {
+        if is_procedural(path) {
             PathBuf::from(path)
         } else {
             self.folder.join(path_of(path))

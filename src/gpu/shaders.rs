@@ -55,6 +55,9 @@ const SHARED: [&str; 10] = [
     piece!("lib/shading.wgsl"),
 ];
 
+/// How values are interpolated between voxels.
+const VOXELS: &str = piece!("lib/voxels.wgsl");
+const NOISE: &str = piece!("lib/noise.wgsl");
 const NODE: &str = piece!("types/bounds.wgsl");
 const MARCH: &str = piece!("lib/march.wgsl");
 const SLICE_POLYGON: &str = piece!("lib/slice_polygon.wgsl");
@@ -89,8 +92,9 @@ impl Program {
         Self::Mesh,
     ];
 
-    /// The program's whole text, `constants` first; `counting` includes the sample counts.
-    pub fn source(self, constants: &str, counting: bool) -> String {
+    /// The program's whole text, `constants` first; `counting` includes the sample counts. The text
+    /// of a function replaces the interpolation between voxels.
+    pub fn source(self, constants: &str, counting: bool, function: Option<&str>) -> String {
         let count = if counting {
             piece!("lib/count.wgsl")
         } else {
@@ -138,13 +142,14 @@ impl Program {
             _ => &[],
         };
         // Programs that make maps read no scene.
-        let shared: &[&str] = if matches!(self, Self::Sample | Self::Encode | Self::Bounds) {
-            &[]
-        } else {
-            &SHARED
-        };
+        let (shared, values): (&[&str], &[&str]) =
+            if matches!(self, Self::Sample | Self::Encode | Self::Bounds) {
+                (&[], &[])
+            } else {
+                (&SHARED, &[function.unwrap_or(VOXELS), NOISE])
+            };
         std::iter::once(constants)
-            .chain(shared.iter().chain(of_surfaces).chain(own).copied())
+            .chain(shared.iter().chain(values).chain(of_surfaces).chain(own).copied())
             .collect::<Vec<_>>()
             .join("\n")
     }

@@ -13,6 +13,7 @@ use crate::files::path_text::text_of;
 use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
 use crate::scene::{Deformation, Mode, Scene, Size, VolumeSource};
 use crate::volume::load::ReadOptions;
+use crate::volume::phantom::is_procedural;
 use crate::{Error, mesh};
 use eframe::egui::Context;
 use egui_file_dialog::DialogState;
@@ -27,7 +28,7 @@ fn missing(scene: &Scene) -> Option<PathBuf> {
     scene
         .files()
         .into_iter()
-        .find(|p| !p.starts_with("phantom:") && !p.to_string_lossy().starts_with("phantom:") && !p.exists())
+        .find(|p| !is_procedural(&p.to_string_lossy()) && !p.exists())
 }
 
 impl Workstation {
@@ -99,7 +100,7 @@ impl Workstation {
                     .map(Path::to_owned)
                     .or(self.files.folder.take());
                 self.start_loading(ctx, scene, is_scene.then(|| path.to_owned()), name, false, None);
-                if !path.to_string_lossy().starts_with("phantom:") {
+                if !is_procedural(&path.to_string_lossy()) {
                     self.session.opened(path);
                 }
             }

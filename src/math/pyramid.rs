@@ -54,6 +54,11 @@ impl<const C: usize> ChannelRange<C> {
     }
 }
 
+/// Number of the finest nodes along an axis of `n` grid points.
+fn nodes_along(n: usize, shift: u32) -> usize {
+    n.saturating_sub(1).div_ceil(1 << shift).max(1)
+}
+
 impl<const C: usize> MinMaxPyramid<C> {
     /// Builds the pyramid of a grid of `size` points from their values `value(i, j, k)`, with
     /// `2^shift` cells per finest node.
@@ -74,8 +79,7 @@ impl<const C: usize> MinMaxPyramid<C> {
     ) -> Self {
         use rayon::prelude::*;
         let edge = 1usize << shift;
-        let nodes_along = |n: usize| (n.saturating_sub(1)).div_ceil(edge).max(1);
-        let level_size = size.map(nodes_along);
+        let level_size = size.map(|n| nodes_along(n, shift));
         let [nx, ny, _] = level_size;
         let mut nodes = vec![ChannelRange::EMPTY; level_size.iter().product()];
         nodes
@@ -97,6 +101,38 @@ impl<const C: usize> MinMaxPyramid<C> {
                     }
                 }
             });
+        Self::above(size, shift, level_size, nodes)
+    }
+
+    /// As [`Self::new`], from the ranges of the finest nodes, row by row: `row` is given the first
+    /// and the last grid point of each node of a row.
+    pub fn from_rows(
+        size: [usize; 3],
+        shift: u32,
+        row: impl Fn(&[[[usize; 3]; 2]]) -> Vec<ChannelRange<C>> + Sync,
+    ) -> Self {
+        use rayon::prelude::*;
+        let level_size = size.map(|n| nodes_along(n, shift));
+        let [nx, ny, nz] = level_size;
+        let nodes = (0..ny * nz)
+            .into_par_iter()
+            .flat_map_iter(|at| {
+                let boxes: Vec<[[usize; 3]; 2]> = (0..nx)
+                    .map(|i| {
+                        let node = [i, at % ny, at / ny];
+                        let first = node.map(|n| n << shift);
+                        let last = std::array::from_fn(|a| ((node[a] + 1) << shift).min(size[a] - 1));
+                        [first, last]
+                    })
+                    .collect();
+                row(&boxes)
+            })
+            .collect();
+        Self::above(size, shift, level_size, nodes)
+    }
+
+    /// The pyramid above its finest level.
+    fn above(size: [usize; 3], shift: u32, level_size: [usize; 3], nodes: Vec<ChannelRange<C>>) -> Self {
         let mut levels = vec![PyramidLevel {
             size: level_size,
             nodes,

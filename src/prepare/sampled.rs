@@ -6,7 +6,9 @@ use crate::Result;
 use crate::math::flat;
 use crate::math::pyramid::ChannelRange;
 use crate::math::{Bounds, MinMaxPyramid};
+use crate::volume::function::{Interval, VolumeFunction};
 use crate::volume::{GradientVolume, Voxel, VoxelGrid, VoxelGridValues};
+use glam::Vec3;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -97,8 +99,14 @@ impl SampledVolume {
     }
 }
 
+/// log2 of the voxels' distances per finest node of their bounds.
+const VALUE_PYRAMID_SHIFT: u32 = 2;
+
 /// Bounds of the values of a grid.
 fn value_pyramid_of(grid: &VoxelGrid) -> MinMaxPyramid<1> {
+    if let Some(function) = &grid.function {
+        return value_pyramid_of_function(grid, function);
+    }
     match &grid.voxels {
         VoxelGridValues::U8(v) => value_pyramid_of_voxels(grid, flat(v)),
         VoxelGridValues::U16(v) => value_pyramid_of_voxels(grid, flat(v)),
@@ -107,9 +115,31 @@ fn value_pyramid_of(grid: &VoxelGrid) -> MinMaxPyramid<1> {
     }
 }
 
+/// Bounds of a function: unlike samples of voxels, its values follow from no values nearby.
+fn value_pyramid_of_function(grid: &VoxelGrid, function: &VolumeFunction) -> MinMaxPyramid<1> {
+    MinMaxPyramid::from_rows(grid.size, VALUE_PYRAMID_SHIFT, |boxes| {
+        let in_voxel: Vec<Bounds> = boxes
+            .iter()
+            .map(|[first, last]| {
+                // The outermost nodes also hold the half voxel beyond the outermost centres.
+                let low = first.map(|n| if n == 0 { -0.5 } else { n as f32 });
+                let high = std::array::from_fn(|a| {
+                    last[a] as f32 + if last[a] + 1 == grid.size[a] { 0.5 } else { 0.0 }
+                });
+                Bounds::new(Vec3::from(low), Vec3::from_array(high))
+            })
+            .collect();
+        let range = |i: Interval| ChannelRange {
+            min: [i.low],
+            max: [i.high],
+        };
+        function.bounds(&in_voxel).into_iter().map(range).collect()
+    })
+}
+
 fn value_pyramid_of_voxels<T: Voxel>(grid: &VoxelGrid, voxels: &[T]) -> MinMaxPyramid<1> {
     let [nx, ny, _] = grid.size;
-    MinMaxPyramid::from_runs(grid.size, 2, |first, last, j, k| {
+    MinMaxPyramid::from_runs(grid.size, VALUE_PYRAMID_SHIFT, |first, last, j, k| {
         let row = (k * ny + j) * nx;
         let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
         for v in &voxels[row + first..=row + last] {

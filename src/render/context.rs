@@ -9,7 +9,7 @@ use crate::gpu::Device;
 use crate::gpu::shaders::Program;
 use crate::{Error, Result};
 use std::collections::HashMap;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use wgpu::{BufferUsages, TextureFormat};
 
 /// Maximum number of cached bind groups: without a layer behind, with each layer of surfaces, and
@@ -29,6 +29,8 @@ pub(super) struct Context {
     /// By the numbers of maps and shapes, and by whether the shader interpolates texels.
     pub classify_pipelines: Mutex<HashMap<(usize, usize, bool), wgpu::ComputePipeline>>,
     groups: Mutex<Vec<CachedBindGroup>>,
+    /// The texts of volumes' functions, under the numbers by which pipelines name them.
+    pub functions: Mutex<HashMap<u64, Arc<str>>>,
     /// By purpose: buffers that are rewritten for every use and grow.
     scratch: Mutex<Vec<(&'static str, wgpu::Buffer)>>,
 }
@@ -80,6 +82,7 @@ impl Context {
             map_pipelines: OnceLock::new(),
             classify_pipelines: Mutex::default(),
             groups: Mutex::default(),
+            functions: Mutex::default(),
             scratch: Mutex::default(),
         }
     }
@@ -252,6 +255,39 @@ impl Context {
         layouts: &[&wgpu::BindGroupLayout],
         constants: &[(&str, f64)],
     ) -> wgpu::ComputePipeline {
+        self.compute_pipeline_of(
+            &self.module_of(program, counting, None),
+            entry,
+            layouts,
+            constants,
+        )
+    }
+
+    /// The shader of a program, with a volume's function by its number.
+    pub(super) fn module_of(
+        &self,
+        program: Program,
+        counting: bool,
+        function: Option<u64>,
+    ) -> wgpu::ShaderModule {
+        let function = function.and_then(|number| lock(&self.functions).get(&number).cloned());
+        let text = program.source(wgsl_constants(), counting, function.as_deref());
+        self.device
+            .device
+            .create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some(&format!("{program:?}")),
+                source: wgpu::ShaderSource::Wgsl(text.into()),
+            })
+    }
+
+    /// A pipeline for one of a shader's entry points.
+    pub(super) fn compute_pipeline_of(
+        &self,
+        module: &wgpu::ShaderModule,
+        entry: &str,
+        layouts: &[&wgpu::BindGroupLayout],
+        constants: &[(&str, f64)],
+    ) -> wgpu::ComputePipeline {
         self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
         let layouts: Vec<_> = layouts.iter().copied().map(Some).collect();
@@ -260,14 +296,10 @@ impl Context {
             bind_group_layouts: &layouts,
             immediate_size: 0,
         });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(&format!("{program:?}")),
-            source: wgpu::ShaderSource::Wgsl(program.source(wgsl_constants(), counting).into()),
-        });
         device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(&format!("{program:?}")),
+            label: Some(entry),
             layout: Some(&layout),
-            module: &module,
+            module,
             entry_point: Some(entry),
             compilation_options: wgpu::PipelineCompilationOptions {
                 constants,

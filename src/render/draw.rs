@@ -168,10 +168,10 @@ impl Context {
     pub(super) fn ray_pipeline(&self, variant: Variant) -> wgpu::ComputePipeline {
         let make = || {
             let own = Self::bands_layout(&self.device.device, variant.counting);
-            self.compute_pipeline(
-                variant.program,
-                variant.counting,
-                [&self.shared_layout, &own],
+            self.compute_pipeline_of(
+                &self.shader_module(&variant),
+                "main",
+                &[&self.shared_layout, &own],
                 &overrides(&variant),
             )
         };

@@ -50,6 +50,7 @@ mod context;
 mod counter;
 mod draw;
 mod evaluate;
+mod function;
 mod maps;
 mod object;
 mod pass_timer;

@@ -1,6 +1,5 @@
 //! Pipelines of a picture, compiled once per variant.
 
-use super::constants::wgsl_constants;
 use super::context::{Context, lock};
 use super::counter::Counter;
 use super::slices::Corner;
@@ -37,7 +36,7 @@ impl Context {
             } else {
                 1
             },
-            order: scene.settings.slice_order,
+            order: scene.slice_order(),
             format: self.picture_format(scene),
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
@@ -47,6 +46,11 @@ impl Context {
                 .filter(|_| scene.volume().blend == Blend::Composite)
                 .map(|_| scene.settings.iso_light),
             colors: scene.volume().colors.is_some(),
+            function: if march {
+                self.function(scene.volume().grid)
+            } else {
+                None
+            },
             preintegrated: scene.preintegrated() && march,
             behind: (march
                 || matches!(
@@ -81,7 +85,7 @@ impl Context {
     }
 
     pub(super) fn compile(&self, scene: &Prepared, counting: bool) {
-        let front_to_back = scene.settings.slice_order == SliceOrder::FrontToBack;
+        let front_to_back = scene.slice_order() == SliceOrder::FrontToBack;
         let mut programs = match (scene.settings.mode, scene.volume().blend) {
             (Mode::Surface, _) => vec![],
             (Mode::Raycast, _) => vec![self.strategy.rays()],
@@ -115,14 +119,7 @@ impl Context {
 
     /// The shader of a variant.
     pub(super) fn shader_module(&self, variant: &Variant) -> wgpu::ShaderModule {
-        self.device
-            .device
-            .create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(&format!("{:?}", variant.program)),
-                source: wgpu::ShaderSource::Wgsl(
-                    variant.program.source(wgsl_constants(), variant.counting).into(),
-                ),
-            })
+        self.module_of(variant.program, variant.counting, variant.function)
     }
 
     /// Compiles the pipeline of a variant.

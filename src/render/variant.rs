@@ -26,6 +26,8 @@ pub(super) struct Variant {
     pub(super) behind: bool,
     pub(super) colors: bool,
     pub(super) exact: bool,
+    /// The volume's function, by its number.
+    pub(super) function: Option<u64>,
 }
 
 /// Values of the shaders' `override` constants.

@@ -80,7 +80,8 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 /// The `[volume]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct VolumeSource {
-    /// A file or folder, relative to the scene file, or `phantom:NAME[:size=N]`.
+    /// A file or folder, relative to the scene file, `phantom:NAME[:size=N][:sampling=function]`, or
+    /// `function:EXPRESSION`, a function of x, y and z in millimetres.
     pub path: String,
     /// Which part of the file to load, and what the file does not state itself.
     #[serde(flatten)]
@@ -89,7 +90,7 @@ pub struct VolumeSource {
     /// on slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<String>,
-    /// A closed mesh; only the volume inside it is shown.
+    /// A mesh; only the volume inside it is shown. Holes are closed by its winding number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside: Option<InsideMesh>,
 }
@@ -464,7 +465,7 @@ impl Scene {
     /// The volume's path resolved against the scene's folder, if there is a volume.
     pub fn volume_path(&self) -> Option<PathBuf> {
         let path = &self.volume.as_ref()?.path;
-        Some(if path.starts_with("phantom:") {
+        Some(if phantom::is_procedural(path) {
             PathBuf::from(path)
         } else {
             self.folder.join(path_of(path))

@@ -4,6 +4,7 @@
 use super::{Deformation, Scene};
 use crate::deform::Argument;
 use crate::files::path_text::{path_of, text_of};
+use crate::volume::phantom::is_procedural;
 use crate::{Error, Result, mesh};
 use std::path::{Component, Path, PathBuf};
 
@@ -52,7 +53,7 @@ impl Scene {
         let holder = self.volume.iter().flat_map(|v| &v.inside).map(|i| &i.path);
         let labels = self.volume.iter().flat_map(|v| &v.labels);
         let at = |p: &str| {
-            if p.starts_with("phantom:") {
+            if is_procedural(p) {
                 PathBuf::from(p)
             } else {
                 self.folder.join(path_of(p))
@@ -93,7 +94,7 @@ impl Scene {
         .map_err(|e| Error::io(folder, "reading", e))?;
         let to = plain(&to);
         let moved = |path: &mut String| {
-            if !path.starts_with("phantom:") {
+            if !is_procedural(path) {
                 let absolute = plain(&from.join(path_of(path)));
                 // In the path syntax of the current system.
                 *path = text_of(absolute.strip_prefix(&to).unwrap_or(&absolute));
@@ -120,7 +121,7 @@ impl Scene {
             if full == missing {
                 *path = text_of(found);
             } else if let (Some(old), Some(new)) = (&old, &new)
-                && !path.starts_with("phantom:")
+                && !is_procedural(path)
                 && !full.exists()
                 && let Ok(rest) = full.strip_prefix(old)
                 && new.join(rest).exists()
@@ -152,7 +153,7 @@ impl Scene {
 /// or a file.
 fn move_settings(deformation: &mut Deformation, from: &Path, moved: &impl Fn(&mut String)) {
     for name in FILE_SETTINGS {
-        let is_file = |text: &str| name == "path" || text.starts_with("phantom:") || from.join(text).exists();
+        let is_file = |text: &str| name == "path" || is_procedural(text) || from.join(text).exists();
         match deformation.parameters.0.get_mut(name) {
             Some(Argument::Text(text)) if is_file(text) => moved(text),
             Some(Argument::Texts(all)) => all.iter_mut().filter(|t| is_file(t)).for_each(moved),

@@ -44,7 +44,7 @@ pub struct GradientVolume {
 
 impl GradientVolume {
     /// Computes the differences; none for floating-point voxels, for integers that do not fit into
-    /// signed 16 bits or whose range needs more than 15, and where more than 1 GiB or a quarter of
+    /// signed 16 bits or whose range needs more than 15, for a function, and where more than 1 GiB or a quarter of
     /// the free memory would be needed.
     pub fn new(grid: &VoxelGrid) -> Option<Self> {
         let bytes = grid
@@ -53,6 +53,9 @@ impl GradientVolume {
             .product::<usize>()
             .saturating_mul(size_of::<[i16; 4]>());
         if bytes > available_bytes().map_or(MAX_BYTES, |free| MAX_BYTES.min(free as usize / OF_FREE_MEMORY)) {
+            return None;
+        }
+        if grid.function.is_some() {
             return None;
         }
         match &grid.voxels {

@@ -5,10 +5,12 @@
 //! present. A hole thus extends one voxel into its neighbours, except for the last ten-thousandth
 //! of a voxel, in which values between theirs and 0 remain.
 
+use super::function::VolumeFunction;
 use super::{Colors, Rescale, Volume, Voxels};
 use crate::math::cells::Strides;
 use crate::math::lanes::{LANES, Simd, f32x8};
 use ndarray::{ArcArray3, Array3, Axis, Zip};
+use std::sync::Arc;
 
 /// The normalised value of an empty voxel.
 pub const HOLE: f32 = -1e4;
@@ -41,6 +43,8 @@ pub struct VoxelGrid {
     pub has_holes: bool,
     /// The voxels' own colours, if they have any.
     pub colors: Option<Colors>,
+    /// The function that samples are taken from instead of from the voxels.
+    pub function: Option<Arc<VolumeFunction>>,
 }
 
 /// A scalar type that the CPU samples directly.
@@ -95,6 +99,14 @@ impl VoxelGrid {
         });
         let has_holes = volume.non_finite > 0 || volume.padded > 0;
         let colors = volume.colors.clone();
+        let function = volume.function.as_ref().map(|expression| {
+            Arc::new(VolumeFunction {
+                expression: expression.as_ref().clone(),
+                world_from_voxel: crate::math::to_f32(&volume.world_from_voxel),
+                scale: (1.0 / span) as f32,
+                offset: (-low / span) as f32,
+            })
+        });
         let direct = |voxels| {
             let (scale, offset) = ((slope / span) as f32, ((intercept - low) / span) as f32);
             // An f32 volume of extreme magnitude has no usable single-precision scale: it is
@@ -107,6 +119,7 @@ impl VoxelGrid {
                 offset,
                 has_holes,
                 colors: colors.clone(),
+                function: function.clone(),
             })
         };
         let shared = match &volume.voxels {
@@ -125,6 +138,7 @@ impl VoxelGrid {
             offset: 0.0,
             has_holes,
             colors,
+            function,
         })
     }
 
@@ -146,6 +160,7 @@ impl VoxelGrid {
             offset: 0.0,
             has_holes: false,
             colors: Some(colors),
+            function: None,
         })
     }
 
@@ -173,6 +188,7 @@ impl VoxelGrid {
             offset: self.offset,
             has_holes: self.has_holes,
             colors: None,
+            function: self.function.clone(),
         }
     }
 

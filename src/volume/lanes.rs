@@ -9,6 +9,7 @@
 //! *How to call it*: as [`VolumeSampler::sample`] and [`VolumeSampler::gradient`], whose values
 //! these equal up to rounding.
 
+use super::function::VolumeFunction;
 use super::grid::Neighborhood;
 use super::{GradientFilter, VolumeSampler, Voxel};
 use crate::math::cells::{Cells, Strides, mix_rows, mix_texels};
@@ -25,6 +26,10 @@ impl<T: Voxel> VolumeSampler<'_, T> {
     /// Normalised values at eight positions in voxels.
     #[inline(always)]
     pub fn sample_lanes<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> f32x8<S> {
+        if let Some(function) = self.function {
+            let points: [glam::Vec3; LANES] = std::array::from_fn(|n| p.lane(n));
+            return f32x8::load_array(simd, function.values(&points));
+        }
         if !self.is_at_least(2) {
             let mut values = [0.0; LANES];
             for (n, value) in values.iter_mut().enumerate() {
@@ -78,6 +83,11 @@ impl<T: Voxel> VolumeSampler<'_, T> {
         filter: GradientFilter,
         lanes: u64,
     ) -> Vec3x8<S> {
+        if let Some(function) = self.function
+            && filter == GradientFilter::Central
+        {
+            return function.differences(simd, p);
+        }
         if filter == GradientFilter::Central && self.is_at_least(4) {
             return self.gradient_of(
                 simd,
@@ -148,6 +158,34 @@ impl<T: Voxel> VolumeSampler<'_, T> {
             cells.f,
         );
         Vec3x8 { x, y, z }
+    }
+}
+
+impl VolumeFunction {
+    /// Gradients of the normalised value per voxel along i, j, k by central differences, at eight
+    /// positions in voxels.
+    fn differences<S: Simd>(&self, simd: S, p: Vec3x8<S>) -> Vec3x8<S> {
+        const AXES: [glam::Vec3; 3] = glam::Vec3::AXES;
+        let mut points = [glam::Vec3::ZERO; 6 * LANES];
+        for n in 0..LANES {
+            for (axis, step) in AXES.into_iter().enumerate() {
+                points[2 * axis * LANES + n] = p.lane(n) + step;
+                points[(2 * axis + 1) * LANES + n] = p.lane(n) - step;
+            }
+        }
+        let values = self.values(&points);
+        let along = |axis: usize| {
+            let from = 2 * axis * LANES;
+            f32x8::load_array(
+                simd,
+                std::array::from_fn(|n| 0.5 * (values[from + n] - values[from + LANES + n])),
+            )
+        };
+        Vec3x8 {
+            x: along(0),
+            y: along(1),
+            z: along(2),
+        }
     }
 }
 

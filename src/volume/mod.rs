@@ -7,6 +7,7 @@
 //! NaN or infinite voxel is empty and normalises below 0 (see [`VoxelGrid`]).
 
 mod colors;
+pub mod function;
 mod gradient;
 mod grid;
 mod label_map;
@@ -49,6 +50,9 @@ pub struct Volume {
     pub padded: usize,
     /// Whether high values are dark (DICOM's MONOCHROME1).
     pub inverted: bool,
+    /// The function of world millimetres that samples are taken from instead of from the voxels,
+    /// which it agrees with at their centres.
+    pub function: Option<Arc<function::Expression>>,
     /// The voxels' own colours, if they have any; then `voxels` are their luminance or opacity.
     pub colors: Option<Colors>,
     /// Values per voxel in the file.
@@ -168,6 +172,7 @@ impl Volume {
             padding: padding.filter(|_| padded > 0),
             padded,
             inverted: false,
+            function: None,
             colors: None,
             components: 1,
             source_type,

@@ -1,12 +1,13 @@
-//! Trilinear samples of a grid and their gradients, one at a time; [`super::lanes`] computes eight
-//! at once.
+//! Trilinear samples of a grid, or those of a function, and their gradients, one at a time;
+//! [`super::lanes`] computes eight at once.
 
+use super::function::VolumeFunction;
 use super::{GradientFilter, GradientVolume, Voxel, VoxelGrid};
 use crate::math::flat;
 use glam::{Vec3, Vec4};
 use ndarray::ArcArray3;
 
-/// Trilinear sampling of one typed grid.
+/// Sampling of one typed grid: trilinear, or by the grid's function.
 pub struct VolumeSampler<'a, T> {
     pub(super) voxels: &'a [T],
     pub(super) size: [usize; 3],
@@ -16,11 +17,13 @@ pub struct VolumeSampler<'a, T> {
     pub(super) offset: f32,
     /// Texels of a gradient volume.
     pub(super) texels: Option<&'a [[i16; 4]]>,
+    /// The function that samples are taken from instead of from the voxels.
+    pub(super) function: Option<&'a VolumeFunction>,
 }
 
 impl<'a, T: Voxel> VolumeSampler<'a, T> {
     /// A sampler over the voxels of `grid`; these must belong to `grid`.
-    pub fn new(grid: &VoxelGrid, voxels: &'a ArcArray3<T>) -> Self {
+    pub fn new(grid: &'a VoxelGrid, voxels: &'a ArcArray3<T>) -> Self {
         let voxels = flat(voxels);
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
         let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
@@ -31,6 +34,7 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
             scale: grid.scale,
             offset: grid.offset,
             texels: None,
+            function: grid.function.as_deref(),
         }
     }
 
@@ -52,9 +56,13 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
     }
 
     /// Normalised value at a position in voxels, clamped to the outermost voxel centres like a
-    /// texture.
+    /// texture unless it is that of a function.
     #[inline(always)]
     pub fn sample(&self, point_in_voxel: Vec3) -> f32 {
+        if let Some(function) = self.function {
+            let [value] = function.values(&[point_in_voxel]);
+            return value;
+        }
         let p = point_in_voxel.clamp(Vec3::ZERO, self.top);
         // p is not negative: truncation equals floor.
         let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);

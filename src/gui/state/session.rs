@@ -8,6 +8,7 @@
 
 use crate::files::{OutputFile, input};
 use crate::scene::Scene;
+use crate::volume::phantom::is_procedural;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -427,7 +428,7 @@ mod tests {
             let scene = Scene::load(&session.bundled(name).unwrap()).unwrap();
             for file in scene.files() {
                 assert!(
-                    file.to_string_lossy().starts_with("phantom:") || file.exists(),
+                    is_procedural(&file.to_string_lossy()) || file.exists(),
                     "{name}: {}",
                     file.display()
                 );

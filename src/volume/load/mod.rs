@@ -130,14 +130,15 @@ impl FileFormat {
     }
 }
 
-/// Reads a volume from a file or folder, or makes the phantom given by `phantom:NAME[:size=N]`.
+/// Reads a volume from a file or folder, or makes the one given by `phantom:NAME[:size=N]` or
+/// `function:EXPRESSION` ([`phantom`]).
 ///
 /// # Errors
 /// A missing or unreadable file, an unknown format, a damaged file; the message states the remedy.
 /// [`Error::Cancelled`].
 pub fn volume(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Volume> {
-    if let Some(spec) = path.to_str().and_then(|p| p.strip_prefix("phantom:")) {
-        return phantom::from_spec(spec);
+    if let Some(volume) = path.to_str().map(phantom::from_path).transpose()?.flatten() {
+        return Ok(volume);
     }
     let volume = image(path, choice, watch)?.into_volume(path, choice)?;
     watch.check()?;
@@ -309,8 +310,8 @@ pub fn is_part_of(folder: &Path, file: &Path) -> bool {
 /// # Errors
 /// A file that cannot be read.
 pub fn series(path: &Path, patient: bool, watch: &Watch) -> Result<Option<Vec<SeriesInfo>>> {
-    let is_phantom = path.to_str().is_some_and(|p| p.starts_with("phantom:"));
-    if is_phantom || path.is_dir() && zarr::is_zarr(path) {
+    let is_procedural = path.to_str().is_some_and(phantom::is_procedural);
+    if is_procedural || path.is_dir() && zarr::is_zarr(path) {
         return Ok(None);
     }
     // If it cannot be opened, the reader will report that.

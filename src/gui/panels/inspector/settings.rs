@@ -6,6 +6,7 @@ use crate::deform::kinds::{Setting, SettingFormat};
 use crate::files::path_text::path_of;
 use crate::gui::text::capital;
 use crate::scene::Deformation;
+use crate::volume::phantom::is_procedural;
 use eframe::egui::{self, RichText, Ui};
 use std::path::Path;
 
@@ -39,7 +40,7 @@ fn typed(setting: &Setting, text: &str, folder: &Path) -> Result<Option<Argument
     for file in argument
         .iter()
         .flat_map(|a| setting.files(a))
-        .filter(|f| !f.starts_with("phantom:"))
+        .filter(|f| !is_procedural(f))
     {
         if !folder.join(path_of(file)).exists() {
             return Err(format!(
