@@ -206,10 +206,6 @@ fn vectors(lengths: vec2<f32>, angles: vec2<f32>) -> Box {
     return Box(vec3<f32>(x.x, y.x, 0.0), vec3<f32>(x.y, y.y, 0.0));
 }
 
-fn sine_within_quarter(angle: f32) -> f32 {
-    return select(sin(angle), sign(angle), abs(angle) >= 0.25 * TURN);
-}
-
 // A box around the displacements, world mm, of points of a cylinder whose D lies between two bounds.
 fn cylinder_displacements(k: u32, u: Box, low: vec3<f32>, high: vec3<f32>) -> Box {
     let radius = vec2<f32>(u.low.z, u.high.z) * maps[k].radius_mm;
@@ -218,7 +214,7 @@ fn cylinder_displacements(k: u32, u: Box, low: vec3<f32>, high: vec3<f32>) -> Bo
         vec2<f32>(u.low.x + low.x, u.high.x + high.x) * TURN,
     );
     let half = vec2<f32>(low.x, high.x) * 0.5 * TURN;
-    let reach = vec2<f32>(2.0 * sine_within_quarter(half.x), 2.0 * sine_within_quarter(half.y));
+    let reach = 2.0 * cosine_range(half - 0.25 * TURN);
     let around = vectors(
         vec2<f32>(
             min(reach.x * radius.x, reach.x * radius.y), max(reach.y * radius.x, reach.y * radius.y)

@@ -9,11 +9,12 @@ fn hit_in_slice(ray: Ray, t: f32, step: f32) -> SurfaceEvent {
     let reach = textureLoad(object_cells, vec3<i32>(cell), 0).r;
     let low = object.cells_origin + (cell - (reach - 1.0)) * object.cell_mm;
     let high = object.cells_origin + (cell + reach) * object.cell_mm;
-    let before = ray.origin + ray.direction * (t - step);
+    let start = max(t - step, 0.0);
+    let before = ray.origin + ray.direction * start;
     // Nothing shows between two points of one block of empty cells.
     let is_empty = reach > 0.5 && all(before >= low) && all(before <= high) && all(here >= low) && all(here <= high);
     if !is_empty {
-        let a = surface_sample(ray, t - step);
+        let a = surface_sample(ray, start);
         let b = surface_sample(ray, t);
         if changes(a, b) {
             event = first_event(ray, a, b);
@@ -38,10 +39,11 @@ fn slice_hit(slice: Slice) -> SliceHit {
     if BEHIND != 0u {
         until = textureLoad(behind_t, vec2<i32>(slice.position.xy), 0).r - shift;
     }
-    if t < until {
+    // A hit lies between this slice and the one in front of it.
+    if t - step < until {
         count(slice.position.xy, vec3<u32>(2u, 0u, 0u));
         let event = hit_in_slice(ray, t + shift, step);
-        if event.t >= 0.0 {
+        if event.t >= 0.0 && event.t - shift < until {
             let p = ray.origin + ray.direction * event.t;
             let own = select(
                 select(object.inside, object.color, event.side == OUTSIDE), object.cut, event.side == CUT_FACE

@@ -20,6 +20,7 @@ mod dicom_out;
 mod editing;
 mod faults;
 mod fields;
+mod functions;
 mod fuzz;
 mod mapping;
 mod metrics;
@@ -34,6 +35,7 @@ mod shaders;
 mod slices;
 mod surfaces;
 #[cfg(unix)]
+mod tears;
 mod trust;
 #[cfg(feature = "gui")]
 mod workstation;
@@ -132,10 +134,17 @@ fn main() {
     all.extend(trials!(settings:
         every_setting_acts, settings_without_effect_are_named, every_setting_is_tested));
     all.extend(trials!(mapping:
-        slabs_become_shells, files_are_mapped_round, bounds_hold_round_an_axis));
+        slabs_become_shells, files_are_mapped_round, bounds_hold_round_an_axis, more_than_half_a_turn_is_found,
+        exports_keep_the_mapping, one_file_at_two_stages));
     all.extend(trials!(slices:
         slices_equal_rays_in_orthographic_views, slices_approach_rays, slices_show_surfaces,
+        slices_show_whole_surfaces, nothing_is_seen_behind_the_eye,
         options_of_slices_are_bounded));
+    all.extend(trials!(functions:
+        voxels_approach_their_function, phantoms_are_their_functions, functions_are_skipped_and_sliced,
+        mistakes_in_functions_are_named));
+    all.extend(trials!(tears:
+        tears_have_their_amount, only_what_is_seen_tears, remedies_can_be_followed));
     all.extend(trials!(nifti:
         every_type_and_byte_order, rescale_is_sanitised, sform_qform_and_spacing, damaged_files_are_named,
         the_first_of_a_series_is_taken, the_bundled_head));
@@ -161,6 +170,7 @@ fn main() {
         distances_of_closed_forms, broken_meshes_keep_their_inside, thin_flat_and_far_things,
         a_part_is_part_of_the_whole, deformed_sphere_is_the_ellipsoid, narrow_pull_is_found_by_jacobian_steps,
         three_modes_share_one_deformation, two_stages_are_one_picture, skipping_changes_no_surface, skipping_loses_no_hit,
+        rays_along_the_faces_of_cells,
         cut_models_are_what_they_say, surfaces_and_volumes_share_depth, volumes_inside_meshes,
         every_format_is_one_mesh, shared_meshes_load_or_say_why, depth_map_cube_shows_the_field));
     #[cfg(feature = "gpu")]

@@ -234,3 +234,75 @@ pub fn bounds_hold_round_an_axis() {
     }
     assert!(tight > 0.2 && tested > 4000, "{tight} {tested}");
 }
+
+/// A displacement of more than half a turn: empty space loses nothing that shows.
+pub fn more_than_half_a_turn_is_found() {
+    let mut shear = Deformation::new("shear");
+    shear.parameters.insert("angle", 60.0f32);
+    shear.parameters.insert("mapping", "cylindrical");
+    shear.size = Some(Size::Cube(130.0));
+    let mut scene = Scene::of_volume("phantom:octants:size=48");
+    scene.render.size = [100, 100];
+    scene.deformation = vec![shear];
+    let assets = Assets::load(&scene).unwrap();
+    let stack = stack_of(&scene, &assets, None).0;
+    let mut turned = 0;
+    for (n, (radius, angle, height)) in points().enumerate() {
+        let low = Vec3::new(radius * angle.sin(), radius * angle.cos(), height);
+        let b = incise::math::Bounds::new(low, low + 1.0 + (n % 5) as f32);
+        let bounds = stack.source_bounds(&b).0.grown(1e-2);
+        for p in b.corners().into_iter().chain([b.center()]) {
+            let source = stack.source_and_alpha_unclipped(p).0;
+            turned += usize::from(source.distance(p) > 1.5 * p.truncate().length());
+            assert!(
+                bounds.contains(&incise::math::Bounds::new(source, source)),
+                "{p}: {source} outside {bounds:?}"
+            );
+        }
+    }
+    assert!(turned > 100, "{turned} points turn far");
+}
+
+/// A map laid round an axis is saved as what it does, on a regular grid.
+pub fn exports_keep_the_mapping() {
+    let round = stack(slab("cylindrical"));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("round.nrrd");
+    std::fs::write(&path, saved::encode(&round.maps()[0]).unwrap()).unwrap();
+    let mut plain = of_file("map", &path);
+    plain.parameters.0.remove("mapping");
+    (plain.center, plain.size, plain.rotate) = (None, None, None);
+    let read = stack(plain);
+    assert!(read.maps()[0].cylinder.is_none());
+    let mut errors: Vec<f32> = points()
+        .map(|(radius, angle, height)| {
+            let p = Vec3::new(radius * angle.sin(), radius * angle.cos(), height);
+            let [a, b] = [&round, &read].map(|s| s.source_and_alpha_unclipped(p).0);
+            a.distance(b)
+        })
+        .collect();
+    errors.sort_by(f32::total_cmp);
+    let [median, most] = [errors[errors.len() / 2], errors[errors.len() * 99 / 100]];
+    println!("a saved round map: median {median:.3} mm, 99 % within {most:.3} mm");
+    assert!(median < 0.1 && most < 1.0, "{median} {most}");
+}
+
+/// One file twice, at different stages and with a fade: two different maps.
+pub fn one_file_at_two_stages() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("slab.nrrd");
+    std::fs::write(&path, saved::encode(&stack(slab("")).maps()[0]).unwrap()).unwrap();
+    let at = |progress: f32| {
+        let mut d = of_file("map", &path);
+        d.parameters.0.remove("mapping");
+        d.parameters.insert("fade", 10.0f32);
+        d.progress = Some(progress);
+        d
+    };
+    let mut scene = Scene::of_volume("phantom:ball:size=32");
+    scene.deformation = vec![at(1.0), at(0.3)];
+    let assets = Assets::load(&scene).unwrap();
+    let stack = stack_of(&scene, &assets, None).0;
+    let [a, b] = [0, 1].map(|n| stack.maps()[n].map.scale);
+    assert!((b / a - 0.3).abs() < 0.02, "{a} {b}");
+}

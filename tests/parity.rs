@@ -90,6 +90,10 @@ pub fn trials() -> Vec<Trial> {
     }
     all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
     all.push(gpu(
+        "functions::functions_agree".into(),
+        Box::new(crate::functions::functions_agree),
+    ));
+    all.push(gpu(
         "parity::surface_depths_agree".into(),
         Box::new(surface_depths_agree),
     ));
@@ -117,6 +121,10 @@ pub fn trials() -> Vec<Trial> {
     all.push(gpu(
         "editing::segments_and_shifts_agree_between_modes".into(),
         Box::new(crate::editing::segments_and_shifts_agree_between_modes),
+    ));
+    all.push(gpu(
+        "slices::crossing_surfaces_agree".into(),
+        Box::new(crate::slices::crossing_surfaces_agree),
     ));
     all.push(gpu(
         "slices::options_of_slices_agree".into(),
@@ -165,7 +173,7 @@ fn with_strategy<T>(strategy: Strategy, work: impl FnOnce(&mut Renderer) -> T) -
     })
 }
 
-fn agree(what: &str, prepared: &Prepared) {
+pub fn agree(what: &str, prepared: &Prepared) {
     agree_by(what, prepared, |r| r.render(prepared, false, &Watch::NONE));
 }
 

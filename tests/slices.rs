@@ -110,6 +110,85 @@ pub fn slices_show_surfaces() {
     }
 }
 
+/// A scene of text, seen along -y without perspective.
+fn orthographic(text: &str) -> (Scene, Assets) {
+    let mut scene = Scene::from_toml(&format!("incise = 1\n{text}")).unwrap();
+    scene.camera.projection = Projection::Orthographic;
+    scene.render.early_termination = false;
+    let assets = Assets::load(&scene).unwrap();
+    (scene, assets)
+}
+
+/// Slices show surfaces where the volume is empty, and their far walls.
+pub fn slices_show_whole_surfaces() {
+    let beside = "[volume]\npath = 'phantom:ball:size=64'\n\
+        [[mesh]]\nshape = [{ kind = 'sphere', radius = 5.0, center = [50.0, -70.0, 50.0] }]\n\
+        [render]\nsize = [512, 512]\n";
+    let opened = "[[mesh]]\nshape = [{ kind = 'sphere', radius = 20.0 }]\nmodel = 'hollow'\n\
+        [[deformation]]\nkind = 'box'\ncenter = [0.0, -20.0, 0.0]\nsize = [20.0, 20.0, 20.0]\n\
+        [render]\nsize = [200, 200]\n";
+    for (name, text, others) in [
+        ("a ball beside a volume", beside, Mode::Raycast),
+        ("an opened shell", opened, Mode::Surface),
+    ] {
+        let (mut scene, assets) = orthographic(text);
+        scene.surface.steps = Steps::Uniform;
+        for step in [1.0, 2.0, 8.0] {
+            scene.render.step = step;
+            let [slices, rays] = [Mode::Slice, others].map(|mode| {
+                scene.render.mode = mode;
+                picture(&Prepared::new(&scene, &assets).unwrap())
+            });
+            let hidden = |a: &[f32; 4], b: &[f32; 4]| (a[3] > 0.5) != (b[3] > 0.5);
+            let apart = slices
+                .pixels
+                .iter()
+                .zip(&rays.pixels)
+                .filter(|(a, b)| hidden(a, b));
+            assert_eq!(apart.count(), 0, "{name}, step {step}");
+            let d = difference(&slices, &rays).unwrap();
+            println!("{name}, step {step}: mean {:.4}/255", d.mean / STEP);
+            assert!(d.mean <= 0.05 * STEP, "{name}, step {step}: {d:?}");
+        }
+    }
+}
+
+/// Nothing behind the eye is shown, by slices or by rays.
+pub fn nothing_is_seen_behind_the_eye() {
+    let mut scene = Scene::from_toml(
+        "incise = 1\n[[mesh]]\nshape = [{ kind = 'sphere', radius = 20.0 }]\nmodel = 'hollow'\n\
+         [camera]\nview = 'anterior'\n[render]\nsize = [33, 33]\nstep = 4.0\n",
+    )
+    .unwrap();
+    let assets = Assets::load(&scene).unwrap();
+    // The eye moves through the far wall, a quarter of a step at a time.
+    let eye = |scene: &Scene| Prepared::new(scene, &assets).unwrap().frame.view.eye.y;
+    let offset = eye(&scene);
+    let mut seen = 0;
+    for n in 0..80 {
+        let y = 16.0 + 0.1 * n as f32;
+        scene.camera.target = Some([0.0, y - offset, 0.0]);
+        for (mode, steps) in [
+            (Mode::Surface, Steps::Uniform),
+            (Mode::Surface, Steps::Jacobian),
+            (Mode::Surface, Steps::Sphere),
+            (Mode::Slice, Steps::Uniform),
+        ] {
+            scene.render.mode = mode;
+            scene.surface.steps = steps;
+            let prepared = Prepared::new(&scene, &assets).unwrap();
+            let at = prepared.frame.view.eye.y;
+            let shown = picture(&prepared).pixels[16 * 33 + 16][3] > 0.5;
+            seen += usize::from(shown);
+            assert!(
+                (at - 20.0).abs() < 0.02 || shown == (at < 20.0),
+                "{mode:?} {steps:?}, eye at {at}"
+            );
+        }
+    }
+    assert!((20..300).contains(&seen), "{seen}");
+}
+
 /// Slabs and drawing from front to back change a picture by rounding, and by what an early end
 /// leaves out; blending in 16 bits by its rounding.
 pub fn options_of_slices_are_bounded() {
@@ -177,6 +256,25 @@ pub fn options_of_slices_agree() {
                     assert!(d.mean <= bound * STEP && d.within_4 >= within, "{what}: {d:?}");
                 }
             }
+        }
+    }
+}
+
+/// Several surfaces that cross inside a slice: the nearest shows, whatever order is stated.
+#[cfg(feature = "gpu")]
+pub fn crossing_surfaces_agree() {
+    let (mut scene, assets) = orthographic(
+        "[[mesh]]\nshape = [{ kind = 'sphere', radius = 20.0, center = [5.0, 0.0, 0.0] }]\ncolor = '#d04040'\n\
+         [[mesh]]\nshape = [{ kind = 'sphere', radius = 20.0, center = [-5.0, 0.0, 0.0] }]\ncolor = '#4040d0'\n\
+         [render]\nsize = [160, 160]\nmode = 'slice'\n",
+    );
+    for order in [SliceOrder::BackToFront, SliceOrder::FrontToBack] {
+        for step in [1.0, 8.0] {
+            (scene.render.slice_order, scene.render.step) = (order, step);
+            let prepared = Prepared::new(&scene, &assets).unwrap();
+            let named = prepared.notices.iter().any(|n| n.contains("render.slice_order"));
+            assert_eq!(named, order == SliceOrder::FrontToBack);
+            crate::parity::agree(&format!("crossing surfaces, {order:?}, step {step}"), &prepared);
         }
     }
 }

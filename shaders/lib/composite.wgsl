@@ -21,7 +21,7 @@ fn proxy_range(origin: vec3<f32>, inverse_direction: vec3<f32>) -> vec2<f32> {
 
 // Composites samples first .. end of a ray, at (i + 1/2) step.
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySamples {
-    let inverse_direction = 1.0 / ray.direction;
+    let inverse_direction = reciprocals(ray.direction);
     let length = step / frame.reference_mm;
     let half = half_vector(ray.direction);
     let needs_gradients = shades_by_gradient();

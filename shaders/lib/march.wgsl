@@ -43,7 +43,6 @@ fn block_around(p: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -
     let reach = f32(d & (CUT_FREE_FLAG - 1u));
     let low = frame.cells_origin + (cell - (reach - 1.0)) * frame.cell_mm;
     let high = frame.cells_origin + (cell + reach) * frame.cell_mm;
-    let far = max((low - origin) * inverse_direction, (high - origin) * inverse_direction);
     let cut_free = d >= CUT_FREE_FLAG;
-    return MacrocellBlock(d > 0u && !cut_free, cut_free, min(far.x, min(far.y, far.z)));
+    return MacrocellBlock(d > 0u && !cut_free, cut_free, leaves_box(low, high, origin, inverse_direction));
 }

@@ -15,3 +15,17 @@ fn transform_point(m: mat4x4<f32>, p: vec3<f32>) -> vec3<f32> {
 fn linear_part(m: mat4x4<f32>) -> mat3x3<f32> {
     return mat3x3<f32>(m[0].xyz, m[1].xyz, m[2].xyz);
 }
+
+// Reciprocal and parameter of a direction along a plane.
+const NEVER: f32 = 1e30;
+
+fn reciprocals(direction: vec3<f32>) -> vec3<f32> {
+    return select(1.0 / direction, vec3<f32>(NEVER), abs(direction) < vec3<f32>(1e-30));
+}
+
+// The parameter at which a ray leaves a box; a ray along a face never leaves through it.
+fn leaves_box(low: vec3<f32>, high: vec3<f32>, origin: vec3<f32>, inverse_direction: vec3<f32>) -> f32 {
+    let faces = max((low - origin) * inverse_direction, (high - origin) * inverse_direction);
+    let far = select(faces, vec3<f32>(NEVER), abs(inverse_direction) >= vec3<f32>(NEVER));
+    return min(far.x, min(far.y, far.z));
+}

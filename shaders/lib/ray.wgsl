@@ -6,7 +6,7 @@ fn ray_color(position: vec2<f32>) -> vec4<f32> {
     // Samples are shifted by moving the origin of the ray.
     let shift = pixel_shift(vec2<u32>(position)) * frame.step_mm;
     ray.origin += ray.direction * shift;
-    var range = proxy_range(ray.origin, 1.0 / ray.direction);
+    var range = proxy_range(ray.origin, reciprocals(ray.direction));
     var surface = vec4<f32>(0.0);
     if BEHIND != 0u {
         range.y = min(range.y, textureLoad(behind_t, vec2<i32>(position), 0).r - shift);

@@ -97,7 +97,7 @@ fn advanced(t: f32) -> f32 {
 
 // Follows a ray to the first hit; counts the samples in `taken`.
 fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
-    let inverse = 1.0 / ray.direction;
+    let inverse = reciprocals(ray.direction);
     let low = (object.occupied_min - ray.origin) * inverse;
     let high = (object.occupied_max - ray.origin) * inverse;
     let nears = min(low, high);
@@ -148,7 +148,8 @@ fn trace(ray: Ray, taken: ptr<function, u32>) -> SurfaceEvent {
                 if interval > 0.0 {
                     let number = max(floor(walked_to / interval + 0.5), next_interval);
                     next_interval = number + 1.0;
-                    begin = (number - 0.5) * interval;
+                    // Nothing is seen behind the eye.
+                    begin = max((number - 0.5) * interval, 0.0);
                     stop = (number + 0.5) * interval;
                 } else {
                     slope = max(c.g, 1e-3);
@@ -231,8 +232,7 @@ fn object_cell(p: vec3<f32>) -> vec3<f32> {
 fn leaves(cell: vec3<f32>, reach: f32, ray: Ray, inverse: vec3<f32>) -> f32 {
     let low = object.cells_origin + (cell - (reach - 1.0)) * object.cell_mm;
     let high = object.cells_origin + (cell + reach) * object.cell_mm;
-    let far = max((low - ray.origin) * inverse, (high - ray.origin) * inverse);
-    return min(far.x, min(far.y, far.z));
+    return leaves_box(low, high, ray.origin, inverse);
 }
 
 fn first_event(ray: Ray, a: SurfaceSample, b: SurfaceSample) -> SurfaceEvent {

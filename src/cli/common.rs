@@ -106,7 +106,7 @@ pub struct Common {
     /// Interior of surfaces where they are cut.
     #[arg(long, value_enum)]
     cut_model: Option<CutModelName>,
-    /// Show the volume only inside this closed mesh.
+    /// Show the volume only inside this mesh; holes are closed by its winding number.
     #[arg(long, value_name = "MESH")]
     inside: Option<PathBuf>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.

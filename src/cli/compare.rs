@@ -9,6 +9,7 @@ use crate::compare::plot::number;
 use crate::compare::{Report, SliceOptions, write_files};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct};
+use crate::prepare::{Assets, IdleSetting, Prepared, idle_settings};
 use crate::scene::{BlendFormat, Mode, Scene, SliceOrder, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -166,6 +167,17 @@ impl CompareArguments {
             plan.modes = self.modes.iter().copied().map(Mode::from).collect();
         }
         plan.slices = self.slices(SliceOptions::of(&plan.scene));
+        let of_slices = [
+            ("--slabs", self.slabs.is_empty()),
+            ("--slice-orders", self.slice_orders.is_empty()),
+            ("--blend-formats", self.blend_formats.is_empty()),
+        ];
+        if let Some((option, _)) = of_slices
+            .iter()
+            .find(|(_, absent)| !absent && !plan.modes.contains(&Mode::Slice))
+        {
+            return Err(Error::value(*option, "acts on slices; add slice to --modes"));
+        }
         if !self.steps.is_empty() {
             plan.steps = once(&self.steps);
         }
@@ -293,6 +305,7 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
         .file_name()
         .unwrap_or(common.input.as_os_str())
         .to_string_lossy();
+    common.check_effects(&idle_everywhere(&plan, &assets)?)?;
     let report = lab::run(&plan, &assets, gpu, &title, &|what, share| bar.set(what, share))?;
     bar.finish();
     common.report(assets.library.notices());
@@ -307,6 +320,24 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
         summary(&report);
     }
     Ok(())
+}
+
+/// The settings that have no effect in any mode of a plan.
+fn idle_everywhere(plan: &Plan, assets: &Assets) -> Result<Vec<IdleSetting>> {
+    let mut everywhere: Option<Vec<IdleSetting>> = None;
+    for &mode in &plan.modes {
+        let mut scene = plan.scene.clone();
+        scene.render.mode = mode;
+        let idle = idle_settings(&Prepared::new(&scene, assets)?, &scene);
+        everywhere = Some(match everywhere {
+            None => idle,
+            Some(all) => all
+                .into_iter()
+                .filter(|one| idle.iter().any(|other| other.key == one.key))
+                .collect(),
+        });
+    }
+    Ok(everywhere.unwrap_or_default())
 }
 
 /// Prints a summary of the results.

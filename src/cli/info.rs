@@ -246,8 +246,8 @@ pub fn catalogue() -> String {
         out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
     }
     out.push_str(
-        "\nDeformations (--deform KIND:name=value,...); every kind except field and map accepts center, size, rotate, storage,\n\
-         resolution, add, spare, labels, mapping (no size where noted)\n",
+        "\nDeformations (--deform KIND:name=value,...); every kind accepts storage, resolution, add, spare,\n\
+         labels, mapping and fade; every kind except field and map also center, size, rotate (no size where noted)\n",
     );
     for k in kinds::list() {
         out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, notes(k)));

@@ -134,6 +134,9 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
         from_file(input, arguments, &bar, &note)?
     };
     bar.finish();
+    if placed.cylinder.is_some() {
+        note(ROUND_AN_AXIS.into());
+    }
     let cut = placed.map.bounds(Vec3::ZERO, Vec3::ONE).min[3] < 0.5;
     let keeps_mask = format == Format::Nrrd && (is_kind || cut);
     let bytes = if keeps_mask {
@@ -148,6 +151,9 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
     };
     output.finish(&bytes)
 }
+
+/// Notice for a map laid round an axis.
+const ROUND_AN_AXIS: &str = "the file states no mapping: the map round its axis is resampled onto a regular grid; to keep its texels, save it without mapping and use it with mapping=cylindrical";
 
 /// The map of the deformation `what`, a kind with its parameters. Fails if `path`, the output, is
 /// one of the input files.

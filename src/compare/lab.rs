@@ -87,7 +87,9 @@ pub fn run(
                 for options in all {
                     for &step in &plan.steps {
                         let mut scene = plan.at(mode, step, size, camera);
-                        options.apply(&mut scene);
+                        if mode == Mode::Slice {
+                            options.apply(&mut scene);
+                        }
                         sweep.time_backends(&scene)?;
                     }
                 }

@@ -90,14 +90,14 @@ impl Method {
                     "along each ray, until a surface is crossed, which is then found by bisection"
                 }
             },
-            order: match (settings.mode, settings.slice_order, composite) {
+            order: match (settings.mode, prepared.slice_order(), composite) {
                 (Mode::Surface, ..) => "the nearest surface is shown",
                 (_, _, false) => "any: maximum, minimum or mean",
                 (Mode::Raycast, ..) => "front to back, in registers",
                 (Mode::Slice, SliceOrder::BackToFront, _) => "back to front, by the blend unit",
                 (Mode::Slice, SliceOrder::FrontToBack, _) => "front to back, by the blend unit",
             },
-            slab: is_slice.then_some(settings.slab),
+            slab: is_slice.then(|| prepared.slices_per_slab()),
             blend_format: if is_slice && composite && settings.blend_format == BlendFormat::Float16 {
                 "16-bit floats"
             } else {

@@ -153,17 +153,10 @@ impl Plan {
                 "is named twice; a mode is not compared with itself",
             ));
         }
-        let slices = self.modes.contains(&Mode::Slice);
         if (1..self.slices.len()).any(|n| self.slices[..n].contains(&self.slices[n])) {
             return Err(Error::value(
                 "--slabs, --slice-orders, --blend-formats",
                 "name the same slices twice; a renderer is not compared with itself",
-            ));
-        }
-        if self.slices.len() > 1 && !slices {
-            return Err(Error::value(
-                "--slabs, --slice-orders, --blend-formats",
-                "act on slices; add slice to --modes",
             ));
         }
         Ok(())
@@ -235,7 +228,13 @@ impl Plan {
                 .map(|m| *m == Mode::Surface || self.scene.volume.is_none()),
         )
         .len();
-        let pictures = (self.modes.len() * self.steps.len() * backends
+        let of_slices = if self.modes.contains(&Mode::Slice) {
+            self.slices.len().saturating_sub(1)
+        } else {
+            0
+        };
+        let renderers = self.modes.len() + of_slices;
+        let pictures = (renderers * self.steps.len() * backends
             + if self.reference.is_some() { kinds } else { 0 })
             * self.cameras.len();
         let pixels = self

@@ -78,7 +78,7 @@ impl Edge {
             from,
             along: to - from,
             side: if in_order { 1.0 } else { -1.0 },
-            // The rule of GPUs: top and left edges.
+            // One of two polygons with a common edge; their edges run in opposite directions.
             includes_edge: direction.y < 0.0 || (direction.y == 0.0 && direction.x < 0.0),
         }
     }
@@ -261,8 +261,7 @@ impl<T: Voxel> Slicer<'_, T> {
     /// Draws a tile of a strip, from a column on.
     #[inline(always)]
     fn draw_tile<S: Simd>(&self, simd: S, strip: &mut Strip, left: usize, stats: &mut RenderStats) {
-        let settings = &self.sampler.scene.settings;
-        let front_to_back = settings.slice_order == SliceOrder::FrontToBack;
+        let front_to_back = self.sampler.scene.slice_order() == SliceOrder::FrontToBack;
         let mut tile = self.tile(simd, strip, left, stats);
         let mut fetch_policy = FetchPolicy::default();
         let slabs = &self.slices.slabs;
@@ -305,7 +304,7 @@ impl<T: Voxel> Slicer<'_, T> {
         } else {
             pixels.projection.color(scene, lane)
         };
-        let drawn_over = self.sampler.composite && scene.settings.slice_order == SliceOrder::BackToFront;
+        let drawn_over = self.sampler.composite && scene.slice_order() == SliceOrder::BackToFront;
         match tile.behind(x, y) {
             Some(color) if !drawn_over => (Vec3::new(r, g, b) + color * (1.0 - a)).extend(1.0).to_array(),
             _ => [r, g, b, a],
@@ -401,7 +400,7 @@ impl<T: Voxel> Slicer<'_, T> {
                     tile.surfaces[py * TILE_COLUMNS + px - left] = Some(hit.color);
                 }
             }
-            if !self.sampler.composite || scene.settings.slice_order == SliceOrder::FrontToBack {
+            if !self.sampler.composite || scene.slice_order() == SliceOrder::FrontToBack {
                 // Surfaces come last.
                 pixels.color = Vec3x8::splat(simd, Vec3::ZERO);
                 pixels.alpha = zero;
@@ -434,7 +433,7 @@ impl<T: Voxel> Slicer<'_, T> {
     ) -> bool {
         let scene = self.sampler.scene;
         let settings = &scene.settings;
-        let front_to_back = settings.slice_order == SliceOrder::FrontToBack;
+        let front_to_back = scene.slice_order() == SliceOrder::FrontToBack;
         let ends = scene.ends_early() && self.sampler.composite;
         for polygon in slab.polygons.clone() {
             let outline = &self.outlines[polygon as usize];
@@ -462,7 +461,7 @@ impl<T: Voxel> Slicer<'_, T> {
                 for edge in &crossing {
                     covered &= edge.contains_lanes(pixels.center[0], pixels.center[1]);
                 }
-                if is_empty {
+                if is_empty && !self.has_surfaces {
                     stats.samples_skipped +=
                         u64::from(covered.to_bitmask().count_ones()) * u64::from(self.slices.slices_per_slab);
                     continue;
@@ -473,7 +472,15 @@ impl<T: Voxel> Slicer<'_, T> {
                     covered &= !opaque;
                 }
                 if covered.any_true() {
-                    let layer = self.fragment(simd, pixels, covered, slab.first, stats, fetch_policy);
+                    let shows_volume = self.has_volume && !is_empty;
+                    let layer = self.fragment(
+                        simd,
+                        pixels,
+                        (covered, shows_volume),
+                        slab.first,
+                        stats,
+                        fetch_policy,
+                    );
                     blend(simd, pixels, &layer, settings.blend_format, front_to_back);
                 }
             }
@@ -542,13 +549,14 @@ impl<T: Voxel> Slicer<'_, T> {
         Some(found)
     }
 
-    /// The fragments of a slab: its slices composited front to back.
+    /// The fragments of a slab: its slices composited front to back; of the pixels that it covers,
+    /// and without the volume where that is known to be empty.
     #[inline(always)]
     fn fragment<S: Simd>(
         &self,
         simd: S,
         pixels: &mut PixelPacket<S>,
-        covered: mask32x8<S>,
+        (covered, shows_volume): (mask32x8<S>, bool),
         first: i64,
         stats: &mut RenderStats,
         fetch_policy: &mut FetchPolicy,
@@ -569,7 +577,7 @@ impl<T: Voxel> Slicer<'_, T> {
             if self.has_surfaces {
                 self.add_surfaces(pixels, covered, depth_mm, &mut layer, stats);
             }
-            if !self.has_volume {
+            if !shows_volume {
                 continue;
             }
             let Some(found) = self.fragment_sample(simd, pixels, covered, depth_mm, stats, fetch_policy)
@@ -598,13 +606,18 @@ impl<T: Voxel> Slicer<'_, T> {
         stats: &mut RenderStats,
     ) {
         let scene = self.sampler.scene;
-        let lanes = covered & pixels.until.simd_gt(depth_mm);
+        // A hit lies between this slice and the one in front of it.
+        let lanes = covered & pixels.until.simd_gt(depth_mm - scene.frame.spacing.step_mm);
         for n in lanes_of(lanes.to_bitmask()) {
             let step = pixels.rays.step[n];
-            let t = depth_mm * step / scene.frame.spacing.step_mm + pixels.shift[n];
+            let per_mm = step / scene.frame.spacing.step_mm;
+            let t = depth_mm * per_mm + pixels.shift[n];
             let (origin, direction) = (pixels.origin.lane(n), pixels.rays.direction.lane(n));
             let hit = surface::nearest_in_slice(scene, origin, direction, t, step, &mut stats.samples_taken);
-            let Some(hit) = hit else { continue };
+            let until = pixels.until[n] * per_mm + pixels.shift[n];
+            let Some(hit) = hit.filter(|hit| hit.t < until) else {
+                continue;
+            };
             layer
                 .color
                 .set(n, layer.color.lane(n) + hit.color * layer.transmittance[n]);

@@ -126,13 +126,15 @@ pub fn nearest_in_slice(
 ) -> Option<SurfaceHit> {
     let mut best: Option<SurfaceHit> = None;
     for object in scene.sliced_surfaces() {
-        let [a, b] = [t - step, t].map(|t| origin + direction * t);
+        // Nothing is seen behind the eye.
+        let ends = [(t - step).max(0.0), t];
+        let [a, b] = ends.map(|t| origin + direction * t);
         let part = Bounds::new(a.min(b), a.max(b));
         if object.cells.grid.is_empty_block(&part) {
             continue;
         }
         *samples += 2;
-        let [a, b] = [t - step, t].map(|t| sample(scene, object, origin, direction, t));
+        let [a, b] = ends.map(|t| sample(scene, object, origin, direction, t));
         let hit = changes(object, &a, &b).then(|| first_event(scene, object, origin, direction, a, b));
         if let Some((t, side)) = hit.flatten()
             && best.is_none_or(|best| t < best.t)
@@ -353,7 +355,9 @@ pub fn trace(
                 // Samples lie at (n + 1/2) δs, as those of volumes.
                 let number = (walked_to / interval + 0.5).floor().max(next_interval);
                 next_interval = number + 1.0;
-                (begin, stop) = ((number - 0.5) * interval, (number + 0.5) * interval);
+                // Nothing is seen behind the eye.
+                begin = ((number - 0.5) * interval).max(0.0);
+                stop = (number + 0.5) * interval;
             } else {
                 slope = object.cells.slope[grid.index(p)].max(1e-3);
                 (begin, stop) = (

@@ -14,6 +14,7 @@ use glam::{Vec3, Vec4, Vec4Swizzles};
 use half::f16;
 use ndarray::Array3;
 use rayon::prelude::*;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::OnceLock;
 
 /// A grid of inverse displacement and mask over the unit cube.
@@ -336,6 +337,16 @@ impl DisplacementMap {
                 (low, high)
             }
         })
+    }
+
+    /// A number that maps with other texels or another scale have, too, only by chance.
+    pub fn digest(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.scale.to_bits().hash(&mut hasher);
+        for texel in self.texels() {
+            texel.to_array().map(f32::to_bits).hash(&mut hasher);
+        }
+        hasher.finish()
     }
 
     /// Whether D is non-zero anywhere; a map that only cuts moves nothing.

@@ -220,20 +220,14 @@ impl Cylinder {
             [(u.min.x + low.x) * tau, (u.max.x + high.x) * tau],
         );
         let half = [low.x * 0.5 * tau, high.x * 0.5 * tau];
-        let sine = |angle: f32| {
-            if angle.abs() >= std::f32::consts::FRAC_PI_2 {
-                angle.signum()
-            } else {
-                angle.sin()
-            }
-        };
-        let reach = [2.0 * sine(half[0]), 2.0 * sine(half[1])];
+        // sin φ = cos(φ - π/2).
+        let quarter = 0.25 * tau;
+        let reach = cosine_range([half[0] - quarter, half[1] - quarter]).map(|sine| 2.0 * sine);
         let lengths = [
             (reach[0] * radius[0]).min(reach[0] * radius[1]),
             (reach[1] * radius[0]).max(reach[1] * radius[1]),
         ];
         // Along the circle: a quarter turn after the direction away.
-        let quarter = 0.25 * tau;
         let around = vectors(
             lengths,
             [
@@ -306,22 +300,26 @@ fn turned(away: Vec2, sin: f32, cos: f32) -> Vec2 {
     Vec2::new(away.x * cos + away.y * sin, away.y * cos - away.x * sin)
 }
 
+/// The least and the greatest cosine of a range of angles: those of its ends, and ±1 where a
+/// multiple of π lies between.
+fn cosine_range([from, to]: [f32; 2]) -> [f32; 2] {
+    let (mut least, mut most) = (from.cos().min(to.cos()), from.cos().max(to.cos()));
+    if (to / TAU).floor() > (from / TAU).floor() || to - from >= TAU {
+        most = 1.0;
+    }
+    if ((to - 0.5 * TAU) / TAU).floor() > ((from - 0.5 * TAU) / TAU).floor() || to - from >= TAU {
+        least = -1.0;
+    }
+    [least, most]
+}
+
 /// A box around the vectors a (sin φ, cos φ) for lengths a and angles φ in ranges.
 fn vectors(lengths: [f32; 2], angles: [f32; 2]) -> [Vec2; 2] {
-    let range = |offset: f32| -> [f32; 2] {
-        // cos over [from, to]: its ends, and ±1 where a multiple of π lies between.
-        let (from, to) = (angles[0] + offset, angles[1] + offset);
-        let (mut least, mut most) = (from.cos().min(to.cos()), from.cos().max(to.cos()));
-        if (to / TAU).floor() > (from / TAU).floor() || to - from >= TAU {
-            most = 1.0;
-        }
-        if ((to - 0.5 * TAU) / TAU).floor() > ((from - 0.5 * TAU) / TAU).floor() || to - from >= TAU {
-            least = -1.0;
-        }
-        [least, most]
-    };
     // sin φ = cos(φ - π/2).
-    let [x, y] = [range(-0.25 * TAU), range(0.0)];
+    let [x, y] = [
+        cosine_range(angles.map(|angle| angle - 0.25 * TAU)),
+        cosine_range(angles),
+    ];
     let product = |r: [f32; 2]| {
         let all = [
             lengths[0] * r[0],

@@ -50,6 +50,7 @@ pub struct CheckedField {
 impl CheckedField {
     /// The field of a map.
     pub fn of_map(placed: &PlacedMap) -> Self {
+        let placed = &placed.on_regular_grid();
         let size = placed.map.size;
         let linear = Mat3::from(placed.placement.world_from_map.matrix3);
         let step = Vec3::from(size.map(|n| 1.0 / n.saturating_sub(1).max(1) as f32));

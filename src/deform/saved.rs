@@ -54,11 +54,12 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     Ok(PlacedMap::new(Arc::new(map), placement))
 }
 
-/// A map as the bytes of its file.
+/// A map as the bytes of its file; one laid round an axis on a regular grid.
 ///
 /// # Errors
 /// Errors of the encoder.
 pub fn encode(placed: &PlacedMap) -> Result<Vec<u8>> {
+    let placed = &placed.on_regular_grid();
     let size = placed.map.size;
     let linear = Mat3::from(placed.placement.world_from_map.matrix3);
     let step = Vec3::from(size.map(|n| 1.0 / n.saturating_sub(1).max(1) as f32));

@@ -17,7 +17,7 @@ mod lanes;
 
 use super::mapping::Cylinder;
 use super::texel::{MIN_MARKED_ALPHA, MIN_MARKED_SLOPE};
-use super::{DisplacementMap, Placement};
+use super::{DisplacementMap, Placement, TexelSample};
 use crate::math::Bounds;
 use glam::{Mat3, Vec3, Vec4Swizzles};
 use std::sync::Arc;
@@ -139,6 +139,34 @@ impl PlacedMap {
         self
     }
 
+    /// A map laid round an axis, resampled onto a regular grid of its box, for files that state no
+    /// mapping; any other map as it is.
+    pub fn on_regular_grid(&self) -> Self {
+        let Some(cylinder) = &self.cylinder else {
+            return self.clone();
+        };
+        let [_, along, away] = self.map.size;
+        // As fine across the axis as away from it.
+        let across = (2 * away).clamp(2, 256);
+        let map = DisplacementMap::from_fn([across, across, along], self.map.storage, |x| {
+            match cylinder.displacement(&self.map, x) {
+                Some((local_mm, alpha)) => TexelSample {
+                    displacement: local_mm / cylinder.box_mm,
+                    alpha,
+                },
+                None => TexelSample {
+                    displacement: Vec3::ZERO,
+                    alpha: 1.0,
+                },
+            }
+        });
+        Self {
+            map: Arc::new(map),
+            cylinder: None,
+            ..self.clone()
+        }
+    }
+
     /// One step of the walk: the point before this map was applied, and the mask.
     #[inline(always)]
     pub fn backward(&self, p: Vec3) -> (Vec3, f32) {
@@ -209,20 +237,22 @@ impl PlacedMap {
 }
 
 impl Stack {
-    /// The source of a point that map `n` has yet to be applied to, through all maps before it;
-    /// needs no texels.
-    pub fn source_before(&self, n: usize, p: Vec3) -> Vec3 {
-        let (mut p, mut here) = (p, p);
+    /// The source of a point that map `n` has yet to be applied to, through all maps before it, and
+    /// the smallest mask on the way; needs no texels.
+    pub fn source_before(&self, n: usize, p: Vec3) -> (Vec3, f32) {
+        let (mut p, mut here, mut alpha) = (p, p, 1.0f32);
         for map in self.maps[..n].iter().rev() {
             let x = map.placement.map_from_world.transform_point3(here);
             if !map.is_outside(x) {
-                p += map.displacement_at(x.clamp(Vec3::ZERO, Vec3::ONE)).0;
+                let (displacement, own) = map.displacement_at(x.clamp(Vec3::ZERO, Vec3::ONE));
+                p += displacement;
+                alpha = alpha.min(own);
             }
             if !map.added {
                 here = p;
             }
         }
-        p
+        (p, alpha)
     }
 }
 

@@ -67,7 +67,6 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             "transfer.density",
             "transfer.gradient_opacity",
             "transfer.own_colors",
-            "volume.inside",
         ],
         NO_VOLUME,
     );
@@ -89,9 +88,19 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         volume_settings(prepared, composite, &mut unless);
     }
     unless(
-        volume && settings.mode == Mode::Slice,
+        settings.mode == Mode::Slice,
         &["render.slab", "render.slice_order", "render.blend_format"],
         NOT_SLICES,
+    );
+    unless(
+        settings.mode != Mode::Slice || prepared.has_slices(),
+        &["render.slab", "render.slice_order", "render.blend_format"],
+        "there is nothing to slice",
+    );
+    unless(
+        prepared.slice_order() == settings.slice_order,
+        &["render.slice_order"],
+        "several surfaces are drawn back to front",
     );
     unless(
         volume && prepared.is_lit() || surfaces,
@@ -140,7 +149,7 @@ fn volume_settings(
     let is_iso = prepared.volume().iso.is_some();
     if composite {
         unless(
-            settings.mode != Mode::Slice || settings.slice_order == SliceOrder::FrontToBack,
+            settings.mode != Mode::Slice || prepared.slice_order() == SliceOrder::FrontToBack,
             &["render.early_termination"],
             "slices from back to front have no early end",
         );

@@ -295,8 +295,7 @@ impl Macrocells {
             .clamp(Vec3::ZERO, (self.size - 1).as_vec3());
         let a = (self.origin + cell * self.cell_mm - origin) * inverse_direction;
         let b = (self.origin + (cell + 1.0) * self.cell_mm - origin) * inverse_direction;
-        let far = a.max(b);
-        far.x.min(far.y).min(far.z)
+        farther(a, b, inverse_direction).min_element()
     }
 
     /// How far a ray at `p` can skip: none in an occupied cell, else the parameter at which it
@@ -317,9 +316,14 @@ impl Macrocells {
         let high = self.origin + (cell + reach) * self.cell_mm;
         let a = (low - origin) * inverse_direction;
         let b = (high - origin) * inverse_direction;
-        let far = a.max(b);
-        Some(far.x.min(far.y).min(far.z))
+        Some(farther(a, b, inverse_direction).min_element())
     }
+}
+
+/// The farther of a ray's parameters at two planes of each axis; a ray along a plane never leaves.
+#[inline(always)]
+fn farther(a: Vec3, b: Vec3, inverse_direction: Vec3) -> Vec3 {
+    Vec3::select(inverse_direction.is_finite_mask(), a.max(b), Vec3::INFINITY)
 }
 
 impl Macrocells {

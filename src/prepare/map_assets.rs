@@ -31,11 +31,15 @@ pub(super) fn finished(map: PlacedMap, deformation: &Deformation, inputs: &Stack
     let fade_mm = fade_mm(deformation, placed.placement.size_mm())?;
     let spared = spared(deformation, inputs)?;
     if fade_mm > 0.0 || spared.is_some() {
+        // Maps from files are read anew: known by what they hold.
         let key = format!(
-            "{:p} {:?} {:?}",
-            Arc::as_ptr(&placed.map),
+            "{:x} {:?} {} {:?} {:?} {}",
+            placed.map.digest(),
+            placed.map.storage,
+            cylindrical,
             placed.placement,
-            deformation.parameters
+            deformation.parameters,
+            inputs.min_ramp_mm
         );
         let changed = inputs.library.map(key, || {
             Ok(changed(&placed, fade_mm, spared.as_deref(), inputs.min_ramp_mm).into())
@@ -104,8 +108,8 @@ fn changed(
         match placed.cylinder {
             // Round an axis, the angle has no faces, and the radius has one.
             Some(c) => {
-                smoothstep(0.0, fade_mm, inside.y * box_mm.z / box_mm.y)
-                    * smoothstep(0.0, fade_mm, (1.0 - u.z) * c.radius_mm)
+                smoothstep(0.0, fade_mm.min(0.5 * box_mm.z), inside.y * box_mm.z / box_mm.y)
+                    * smoothstep(0.0, fade_mm.min(c.radius_mm), (1.0 - u.z) * c.radius_mm)
             }
             None => (0..3)
                 .map(|axis| smoothstep(0.0, fade_mm.min(0.5 * box_mm[axis]), inside[axis]))

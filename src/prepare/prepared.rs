@@ -70,8 +70,7 @@ impl<'a> Prepared<'a> {
 
     /// Whether pixels end where they have become opaque: rays, and slices from front to back.
     pub fn ends_early(&self) -> bool {
-        let in_order =
-            self.settings.mode != Mode::Slice || self.settings.slice_order == SliceOrder::FrontToBack;
+        let in_order = self.settings.mode != Mode::Slice || self.slice_order() == SliceOrder::FrontToBack;
         self.settings.early_termination && in_order
     }
 

@@ -9,9 +9,10 @@ use super::spacing::{SampleSpacing, blend_mm};
 use super::tears;
 use super::volume::{Classifier, VolumeObject};
 use crate::Result;
+use crate::deform::kinds;
 use crate::math::normalize_or;
 use crate::picture::StageTimes;
-use crate::scene::{Light, Scene, ViewFrame};
+use crate::scene::{Deformation, Light, Scene, ViewFrame};
 use glam::Vec3;
 
 /// A displacement on the face of a map's box that is not seen, voxels.
@@ -71,7 +72,19 @@ impl<'a> Prepared<'a> {
             let is_matter = |source: Vec3| {
                 volume.shows(source) || surfaces.objects.iter().any(|o| !o.rigid && o.contains(source))
             };
-            tears::tears(&deformed, &scene_box, TEAR_TOLERANCE * reference_mm, is_matter)
+            let can_fade = |name: &str| {
+                let of_name = |d: &&Deformation| d.name.as_deref().unwrap_or(&d.kind) == name;
+                scene.deformation.iter().find(of_name).is_some_and(|d| {
+                    kinds::kind(&d.kind).map_or(true, |kind| kind.parameters.iter().all(|p| p.name != "fade"))
+                })
+            };
+            tears::tears(
+                &deformed,
+                &scene_box,
+                TEAR_TOLERANCE * reference_mm,
+                is_matter,
+                can_fade,
+            )
         });
         let light = scene.light.clone();
         let to_light = to_light(&light, &view);

@@ -13,7 +13,7 @@ use super::{Frame, Macrocells, Prepared};
 use crate::math::Bounds;
 use crate::mesh::Mesh;
 use crate::mesh::contour::{Planes, sections};
-use crate::scene::{Mode, Projection};
+use crate::scene::{Mode, Projection, SliceOrder};
 use crate::transfer::Blend;
 use glam::{Vec2, Vec3};
 use std::ops::Range;
@@ -293,16 +293,31 @@ impl Prepared<'_> {
 
     /// The polygons of the slices that can show anything. Slices with surfaces are drawn one by one.
     pub fn slice_polygons(&self) -> SlicePolygons {
+        // A slice finds surfaces between it and the one in front of it: the last hits are found by a
+        // slice behind the object.
+        let behind_mm = self.frame.spacing.step_mm * self.frame.view.longest_slant();
         let proxy = Proxy {
             cells: &self.volume().macrocells,
             mesh: self.proxy_mesh.as_deref(),
             others: self
                 .sliced_surfaces()
                 .map(|object| object.cells.grid.occupied)
+                .filter(|occupied| !occupied.is_empty())
+                .map(|occupied| occupied.grown(behind_mm))
                 .collect(),
         };
         let shift = if self.settings.jitter { 0.5 } else { 0.0 };
         SlicePolygons::of(&self.frame, &proxy, self.slices_per_slab(), shift)
+    }
+
+    /// The order in which slices are drawn: several surfaces always from back to front, where a
+    /// depth test orders the hits of one slice.
+    pub fn slice_order(&self) -> SliceOrder {
+        if self.sliced_surfaces().nth(1).is_some() {
+            SliceOrder::BackToFront
+        } else {
+            self.settings.slice_order
+        }
     }
 
     /// Slices composited inside one fragment.

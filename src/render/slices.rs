@@ -159,7 +159,7 @@ impl Renderer {
                 .target(&self.context, "opaque pixels", width, height, MASK)
         });
         let slices = scene.slice_polygons();
-        let (corners, slabs) = triangles(&slices, scene.settings.slice_order);
+        let (corners, slabs) = triangles(&slices, scene.slice_order());
         let vertices = self
             .targets
             .slice_vertices(&self.context, bytemuck::cast_slice(&corners));
@@ -182,7 +182,7 @@ impl Renderer {
         targets
             .canvas(wgpu::LoadOp::Clear(empty), wgpu::LoadOp::Clear(1.0))
             .pass(draw.clock, &mut encoder, |_| {});
-        let back_to_front = scene.settings.slice_order == SliceOrder::BackToFront;
+        let back_to_front = scene.slice_order() == SliceOrder::BackToFront;
         if composite && back_to_front {
             self.draw_surfaces_behind_slices(draw, &targets, &mut encoder);
         }
@@ -288,7 +288,7 @@ impl Context {
         } else {
             1
         };
-        let back_to_front = scene.settings.slice_order == SliceOrder::BackToFront;
+        let back_to_front = scene.slice_order() == SliceOrder::BackToFront;
         let shows_volume = scene.shows_volume() && !scene.frame.proxy.is_empty();
         let of_surfaces = (!surfaces.is_empty())
             .then(|| self.slice_surface_pipeline(draw.variant(self, Program::SliceSurface)));

@@ -134,3 +134,39 @@ pub fn skipping_loses_no_hit() {
         }
     }
 }
+
+/// Rays that run in the plane of a face between cells: none stops there, and none takes many more
+/// samples than its neighbours.
+pub fn rays_along_the_faces_of_cells() {
+    let mut scene = Scene::from_toml(
+        "incise = 1\n[[mesh]]\nshape = [{ kind = 'box', size = [10.0, 80.0, 10.0], center = [0.0, -60.0, 0.0] }, \
+         { kind = 'sphere', radius = 15.0 }]\n[surface]\nsteps = 'sphere'\n\
+         [camera]\nview = 'anterior'\nprojection = 'orthographic'\n[render]\nmode = 'surface'\n",
+    )
+    .unwrap();
+    let samples = |edge: u32, scene: &mut Scene| {
+        scene.render.size = [edge; 2];
+        let assets = scenes::assets(scene);
+        let done = incise::cpu::render(&Prepared::new(scene, &assets).unwrap());
+        let middle = edge / 2;
+        let shown = |x: u32, y: u32| done.picture.pixels[(y * edge + x) as usize][3] > 0.5;
+        for at in 0..edge {
+            for across in [(middle, at), (at, middle)] {
+                let beside = if across.0 == middle {
+                    (across.0 - 1, at)
+                } else {
+                    (at, across.1 - 1)
+                };
+                assert_eq!(
+                    shown(across.0, across.1),
+                    shown(beside.0, beside.1),
+                    "pixel {across:?}"
+                );
+            }
+        }
+        done.stats.unwrap().samples_taken as f64 / f64::from(edge * edge)
+    };
+    let (even, odd) = (samples(128, &mut scene), samples(129, &mut scene));
+    println!("samples per ray: {even:.2} beside the faces, {odd:.2} with some in them");
+    assert!(odd < 1.2 * even, "{odd} {even}");
+}

@@ -107,7 +107,8 @@ impl Field for Faded {
             Some(cylinder_mm) => {
                 let outward = (self.half.z - q.z) / (2.0 * self.half.z) * cylinder_mm.y;
                 let upward = inside.y / (2.0 * self.half.y) * cylinder_mm.x;
-                smoothstep(0.0, self.fade_mm, upward) * smoothstep(0.0, self.fade_mm, outward)
+                smoothstep(0.0, self.fade_mm.min(0.5 * cylinder_mm.x), upward)
+                    * smoothstep(0.0, self.fade_mm.min(cylinder_mm.y), outward)
             }
             None => (0..3)
                 .map(|axis| smoothstep(0.0, self.fade_mm.min(self.half[axis]), inside[axis]))
