@@ -53,10 +53,11 @@ override GRADIENT: u32 = GRADIENT_CENTRAL;
 override PREINTEGRATED: u32 = 0u;
 // Slices in a slab; 1 for slices of a mesh.
 override SLAB: u32 = 1u;
-// 1: texels are interpolated in the shader, with 24-bit weights. Hardware filters round their
-// weights to 8 bits. In a coarse map this shifts points by tenths of a millimetre, and labels and
-// holes bleed into their neighbours.
+// 1: texels of volumes are interpolated in the shader, with 24-bit weights. Hardware filters round
+// their weights to 8 bits: labels and holes bleed into their neighbours.
 override EXACT: u32 = 0u;
+// The same for maps. In a coarse map 8 bits shift points by tenths of a millimetre.
+override EXACT_MAPS: u32 = 0u;
 
 // Trilinear interpolation of the eight texels around a position in texels; clamped to the outermost
 // texels.
@@ -104,11 +105,11 @@ fn sample_colors(p: vec3<f32>) -> vec4<f32> {
     return sample_texture(colors, p, frame.texture_size, frame.per_texture_size);
 }
 
-// Samples map k in an atlas at a position in the map's texels.
-fn sample_atlas(atlas: texture_3d<f32>, k: u32, p: vec3<f32>) -> vec4<f32> {
-    let q = p + maps[k].origin;
-    if EXACT != 0u {
-        let first = vec3<i32>(maps[k].origin);
+// Samples a block of the size of map k in an atlas at a position in its texels.
+fn sample_atlas(atlas: texture_3d<f32>, k: u32, origin: vec3<f32>, p: vec3<f32>) -> vec4<f32> {
+    let q = p + origin;
+    if EXACT_MAPS != 0u {
+        let first = vec3<i32>(origin);
         return mixed_within(atlas, q, first, first + vec3<i32>(maps[k].size) - 1);
     }
     return textureSampleLevel(atlas, linear_clamp, (q + 0.5) * maps[k].per_atlas, 0.0);
@@ -119,9 +120,22 @@ fn sample_atlas(atlas: texture_3d<f32>, k: u32, p: vec3<f32>) -> vec4<f32> {
 fn fetch(k: u32, x: vec3<f32>) -> vec4<f32> {
     let p = clamp(x, vec3<f32>(0.0), vec3<f32>(1.0)) * (maps[k].size - 1.0);
     if maps[k].single != 0.0 {
-        return sample_atlas(maps_single, k, p);
+        return sample_atlas(maps_single, k, maps[k].origin, p);
     }
-    return sample_atlas(maps_half, k, p);
+    return sample_atlas(maps_half, k, maps[k].origin, p);
+}
+
+// The stored slopes of map k along an axis: the derivatives of (D / scale, alpha) per map unit.
+fn fetch_slopes(k: u32, x: vec3<f32>, axis: f32) -> vec4<f32> {
+    let p = clamp(x, vec3<f32>(0.0), vec3<f32>(1.0)) * (maps[k].size - 1.0);
+    let origin = maps[k].slopes_origin + vec3<f32>(0.0, 0.0, axis * maps[k].size.z);
+    var slopes: vec4<f32>;
+    if maps[k].single != 0.0 {
+        slopes = sample_atlas(maps_single, k, origin, p);
+    } else {
+        slopes = sample_atlas(maps_half, k, origin, p);
+    }
+    return vec4<f32>(slopes.xyz * maps[k].slopes_scale, slopes.w);
 }
 
 fn table_entry(i: i32, row: i32) -> vec4<f32> {

@@ -41,8 +41,10 @@
 //!   (fields from files). Quantisation to eight bits is visible (\[DDM06\] section 8).
 //! - alpha = 1: the point is present. alpha = 0: it is cut away. A sample with alpha below 1/2 is
 //!   discarded (\[DDM06\] 4.2).
-//! - D is continuous, also across a cut: the *pseudo-inverse* of \[DDM06\] 4.1. The discontinuity
-//!   lies in alpha alone, so that interpolation never mixes values from both sides.
+//! - D is continuous wherever a sample can be retained, also across a cut: the *pseudo-inverse* of
+//!   \[DDM06\] 4.1. The discontinuity lies in alpha alone, so that interpolation never mixes values
+//!   from both sides. Between texels that are all cut away D may jump: no sample there is retained,
+//!   nor is one whose differences reach them.
 //! - The mask is a ramp of the signed distance d to the nearest cut, in millimetres, positive on
 //!   the retained side. \[DDM06\] section 5 blurs a binary mask instead, which moves the contour
 //!   where a cut bends.
@@ -109,7 +111,9 @@
 //! n'    = normalise(ω c n + (1 - ω) n_cut)                     near a cut       [DDM06 eq 7]
 //! ```
 //!
-//! J_D is taken by central differences over one texel to each side, shortened at the cube's faces.
+//! J_D is taken by central differences over one texel to each side, shortened at the cube's faces;
+//! or it is interpolated between the same differences stored for each texel (`render.jacobian`,
+//! \[DDM06\] 4.3), which inside a map is the same function ([`MapFilter`](crate::deform::MapFilter)).
 //! g is the scan's gradient in world millimetres: the gradient per voxel times the transposed
 //! inverse of the voxel axes. n is Jᵀ g normalised, pointing out of the visible material. n_cut is
 //! the outward unit normal of the nearest cut.
@@ -166,6 +170,10 @@
 //! box; in an orthographic view the two sets of samples coincide, and the pictures agree to
 //! rounding. In perspective they approximate the same integral, and their difference falls with the
 //! step.
+//!
+//! A sample is interpolated between voxels, or it is the value of a function at its source point
+//! ([`volume::function`](crate::volume::function)): then nothing is resampled at all. The bounds of
+//! empty space follow by interval arithmetic.
 //!
 //! **Rays** have samples at t = (i + 1/2) Δ from the eye, composited front to back. A ray ends when
 //! less than 1/512 of the light passes (early ray termination).

@@ -287,6 +287,15 @@ pub fn stats_are_complete() {
         );
     }
     assert_eq!(report["backend"], "cpu");
+    assert_eq!(report["jacobian"], "differences");
+    for key in ["filter", "map_filter"] {
+        assert!(
+            report[key]
+                .as_str()
+                .is_some_and(|text| text.contains("trilinear")),
+            "{report:#}"
+        );
+    }
     assert_eq!(report["size"], serde_json::json!([64, 48]));
     assert!(!cfg!(target_os = "linux") || report["peak_memory_bytes"].as_u64().is_some_and(|b| b > 1 << 20));
 }

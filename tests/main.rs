@@ -20,6 +20,7 @@ mod dicom_out;
 mod editing;
 mod faults;
 mod fields;
+mod filters;
 mod functions;
 mod fuzz;
 mod mapping;
@@ -140,6 +141,7 @@ fn main() {
         slices_equal_rays_in_orthographic_views, slices_approach_rays, slices_show_surfaces,
         slices_show_whole_surfaces, nothing_is_seen_behind_the_eye,
         options_of_slices_are_bounded));
+    all.extend(trials!(filters: filters_change_little));
     all.extend(trials!(functions:
         voxels_approach_their_function, phantoms_are_their_functions, functions_are_skipped_and_sliced,
         mistakes_in_functions_are_named));

@@ -90,6 +90,10 @@ pub fn trials() -> Vec<Trial> {
     }
     all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
     all.push(gpu(
+        "filters::filters_agree".into(),
+        Box::new(crate::filters::filters_agree),
+    ));
+    all.push(gpu(
         "functions::functions_agree".into(),
         Box::new(crate::functions::functions_agree),
     ));

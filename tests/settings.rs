@@ -38,7 +38,7 @@ slice_order = "front-to-back"
 const COLORS: &str = r#"
 incise = 1
 [volume]
-path = "phantom:colored-cube:size=24"
+path = "COLORED"
 [render]
 size = [64, 64]
 "#;
@@ -123,6 +123,8 @@ const ACTS: &[(&str, &str, &str, bool)] = &[
     (SLICES, "render.slice_order", "\"back-to-front\"", true),
     (SLICES, "render.blend_format", "\"float16\"", true),
     (VOLUME, "render.precompose", "0.5", true),
+    (VOLUME, "render.jacobian", "\"stored\"", true),
+    (VOLUME, "render.map_filter", "\"hardware\"", true),
     (VOLUME, "light.ambient", "0.9", true),
     (VOLUME, "light.diffuse", "0.1", true),
     (VOLUME, "light.specular", "0.9", true),
@@ -198,6 +200,8 @@ const IDLE: &[(&str, &str, &str)] = &[
     (SLICES, "render.cut_faces", "\"grey\""),
     (SLICES, "render.precompose", "0.5"),
     (SLICES, "render.exact_cuts", "false"),
+    (SLICES, "render.jacobian", "\"stored\""),
+    (SLICES, "render.map_filter", "\"hardware\""),
     (ISO, "render.preintegrated", "true"),
     (BUNNY, "surface.threshold", "0.5"),
 ];
@@ -219,7 +223,26 @@ fn with(scene: &str, change: Option<(&str, &str)>) -> Scene {
     scene
 }
 
+/// A volume of 8^3 voxels with colours of their own.
+fn colored(path: &std::path::Path) {
+    let mut file = b"NRRD0004\ntype: unsigned char\ndimension: 4\nsizes: 3 8 8 8\nkinds: RGB-color domain domain domain\n\
+        space: left-posterior-superior\nspace directions: none (2,0,0) (0,2,0) (0,0,2)\nencoding: raw\n\n"
+        .to_vec();
+    for n in 0..512usize {
+        file.extend([n % 8 * 30, n / 8 % 8 * 30, 40 + n / 64 * 25].map(|v| v as u8));
+    }
+    std::fs::write(path, file).unwrap();
+}
+
 fn rendered(scene: &Scene) -> Rendered {
+    let mut scene = scene.clone();
+    let folder = tempfile::tempdir().unwrap();
+    if let Some(volume) = scene.volume.as_mut().filter(|v| v.path == "COLORED") {
+        let path = folder.path().join("colored.nrrd");
+        colored(&path);
+        volume.path = path.to_string_lossy().into_owned();
+    }
+    let scene = &scene;
     let assets = Assets::load(scene).unwrap_or_else(|e| panic!("{e}"));
     cpu::render(&Prepared::new(scene, &assets).unwrap_or_else(|e| panic!("{e}")))
 }

@@ -69,7 +69,7 @@ pub fn uniforms_match_their_structs() {
         seam_mm, rigid, both, deformers, normal_method, vertex_offset_mm, padding);
     same_layout!(&s, "PlacedSolid", PlacedSolidUniform: local_from_world, numbers, solid, join, period, wall);
     same_layout!(&s, "Deformer", DeformerUniform: local_from_world, numbers, half, kind, offsets);
-    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, origin, single, per_atlas, radius_mm, box_mm, min_radius_mm);
+    same_layout!(&m, "PlacedMap", PlacedMapUniform: map_from_world, world_from_stored, size, added, reach, scale, origin, single, per_atlas, radius_mm, box_mm, min_radius_mm, slopes_origin, slopes_scale);
     let c = module(Program::Classify, false);
     same_layout!(&c, "Classification", ClassificationUniform: voxel_from_world, origin, lookback_mm, cell_mm, cut_lookback_mm, size, cut_margin_mm, voxel_low,
         margin_mm, voxel_high, iso, table_scale, table_offset, has_iso, grey_faces, composite, stack_has_cuts, value_shift, value_levels, value_size, precompose_error_mm,

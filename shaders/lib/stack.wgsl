@@ -154,9 +154,12 @@ fn identity_jet(deformed: vec3<f32>) -> Jet {
     return Jet(deformed, 1.0, mat3x3<f32>(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), NO_CUT);
 }
 
-// The change of map k along one of its axes, per map unit: a difference over one texel to each
+// The change of map k along one of its axes, per map unit: stored, or a difference over one texel to each
 // side, shortened at the cube's faces.
 fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
+    if maps[k].slopes_scale > 0.0 {
+        return fetch_slopes(k, x, axis.y + 2.0 * axis.z);
+    }
     let points = dot(maps[k].size, axis);
     if points < 1.5 {
         return vec4<f32>(0.0);
@@ -171,6 +174,9 @@ fn difference(k: u32, x: vec3<f32>, axis: vec3<f32>) -> vec4<f32> {
 
 // As difference along x, where the last grid plane is the first one.
 fn wrapped_difference(k: u32, u: vec3<f32>) -> vec4<f32> {
+    if maps[k].slopes_scale > 0.0 {
+        return fetch_slopes(k, u, 0.0);
+    }
     if maps[k].size.x < 1.5 {
         return vec4<f32>(0.0);
     }

@@ -100,4 +100,9 @@ struct PlacedMap {
     box_mm: vec3<f32>,
     // Smallest radius at which a derivative is taken, mm.
     min_radius_mm: f32,
+    // The first of the map's stored slopes in the atlas: blocks of the map's size along z with the
+    // derivatives along x, y and z.
+    slopes_origin: vec3<f32>,
+    // Stored units of displacement per unit of a stored slope; 0: none are stored.
+    slopes_scale: f32,
 }

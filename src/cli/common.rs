@@ -54,7 +54,8 @@ enum ProjectionName {
 #[derive(Args)]
 pub struct Common {
     /// A scene (.toml), a volume (DICOM file, folder or zip, .nii.gz, .nrrd, .mha, .vti, .tif and
-    /// so on), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii) or phantom:NAME[:size=N].
+    /// so on), a mesh (.stl, .obj, .ply, .off, .gltf, .glb, .gii),
+    /// phantom:NAME[:size=N] or function:EXPRESSION (see incise list).
     pub input: PathBuf,
     #[command(flatten)]
     volume: arguments::VolumeArguments,

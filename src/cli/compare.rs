@@ -6,11 +6,11 @@ use super::common::{Common, ModeName};
 use super::progress::TerminalProgress;
 use crate::compare::lab::{self, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
-use crate::compare::{Report, SliceOptions, write_files};
+use crate::compare::{RendererOptions, Report, write_files};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct};
 use crate::prepare::{Assets, IdleSetting, Prepared, idle_settings};
-use crate::scene::{BlendFormat, Mode, Scene, SliceOrder, View};
+use crate::scene::{BlendFormat, JacobianSource, MapFiltering, Mode, Scene, SliceOrder, View};
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -59,6 +59,38 @@ impl From<BlendFormatName> for BlendFormat {
     }
 }
 
+/// The source of Jacobians.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum JacobianName {
+    Differences,
+    Stored,
+}
+
+impl From<JacobianName> for JacobianSource {
+    fn from(name: JacobianName) -> Self {
+        match name {
+            JacobianName::Differences => Self::Differences,
+            JacobianName::Stored => Self::Stored,
+        }
+    }
+}
+
+/// The filter of maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum MapFilterName {
+    Shader,
+    Hardware,
+}
+
+impl From<MapFilterName> for MapFiltering {
+    fn from(name: MapFilterName) -> Self {
+        match name {
+            MapFilterName::Shader => Self::Shader,
+            MapFilterName::Hardware => Self::Hardware,
+        }
+    }
+}
+
 /// Options as typed.
 #[derive(Args)]
 #[command(after_long_help = "\
@@ -101,6 +133,12 @@ pub struct CompareArguments {
     /// Number formats in which slices are blended (mode slice).
     #[arg(long, value_enum, value_name = "FORMAT,...", value_delimiter = ',')]
     blend_formats: Vec<BlendFormatName>,
+    /// How the Jacobians of displacement maps are found.
+    #[arg(long, value_enum, value_name = "SOURCE,...", value_delimiter = ',')]
+    jacobians: Vec<JacobianName>,
+    /// How displacement maps are interpolated: by the shader, or by hardware with weights of 8 bits.
+    #[arg(long, value_enum, value_name = "FILTER,...", value_delimiter = ',')]
+    map_filters: Vec<MapFilterName>,
     /// Sampling distances in voxels, e.g. 0.5,1,2.
     #[arg(long, value_name = "STEP,...", value_delimiter = ',', conflicts_with = "step")]
     steps: Vec<f32>,
@@ -166,7 +204,7 @@ impl CompareArguments {
         if !self.modes.is_empty() {
             plan.modes = self.modes.iter().copied().map(Mode::from).collect();
         }
-        plan.slices = self.slices(SliceOptions::of(&plan.scene));
+        plan.options = self.options(RendererOptions::of(&plan.scene));
         let of_slices = [
             ("--slabs", self.slabs.is_empty()),
             ("--slice-orders", self.slice_orders.is_empty()),
@@ -198,26 +236,35 @@ impl CompareArguments {
         Ok(plan)
     }
 
-    /// Every combination of the options of slices; those not given are the scene's.
-    fn slices(&self, own: SliceOptions) -> Vec<SliceOptions> {
-        let counts = [
-            self.slabs.len(),
-            self.slice_orders.len(),
-            self.blend_formats.len(),
-        ]
-        .map(|n| n.max(1));
-        let all = (0..counts.iter().product()).map(|n: usize| SliceOptions {
-            slab: self.slabs.get(n % counts[0]).copied().unwrap_or(own.slab),
-            order: self
-                .slice_orders
-                .get(n / counts[0] % counts[1])
-                .map_or(own.order, |order| (*order).into()),
-            format: self
-                .blend_formats
-                .get(n / (counts[0] * counts[1]))
-                .map_or(own.format, |format| (*format).into()),
+    /// Every combination of the options; those not given are the scene's.
+    fn options(&self, own: RendererOptions) -> Vec<RendererOptions> {
+        let mut all = vec![own];
+        let vary =
+            |all: &mut Vec<RendererOptions>, count: usize, set: &dyn Fn(&mut RendererOptions, usize)| {
+                if count > 0 {
+                    *all = (0..count)
+                        .flat_map(|n| all.iter().map(move |one| (n, *one)))
+                        .map(|(n, mut one)| {
+                            set(&mut one, n);
+                            one
+                        })
+                        .collect();
+                }
+            };
+        vary(&mut all, self.slabs.len(), &|one, n| one.slab = self.slabs[n]);
+        vary(&mut all, self.slice_orders.len(), &|one, n| {
+            one.order = self.slice_orders[n].into();
         });
-        all.collect()
+        vary(&mut all, self.blend_formats.len(), &|one, n| {
+            one.format = self.blend_formats[n].into();
+        });
+        vary(&mut all, self.jacobians.len(), &|one, n| {
+            one.jacobian = self.jacobians[n].into();
+        });
+        vary(&mut all, self.map_filters.len(), &|one, n| {
+            one.map_filter = Some(self.map_filters[n].into());
+        });
+        all
     }
 
     /// Checks that the folder can be written or created, and that no file of it is an input.

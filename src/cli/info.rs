@@ -8,6 +8,7 @@ use crate::files::path_text::path_of;
 use crate::scene::Scene;
 use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
+use crate::volume::function::FUNCTIONS;
 use crate::volume::load::{self, ReadOptions, SeriesInfo};
 use crate::volume::{Volume, phantom};
 use crate::{Result, Watch, mesh};
@@ -280,9 +281,19 @@ pub fn catalogue() -> String {
     for (name, about, parameters) in DEFORMERS {
         out.push_str(&format!("  {name:<22} {about}: {parameters}\n"));
     }
-    out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC])\n");
+    out.push_str("\nPhantoms (phantom:NAME[:size=N][:spacing=AxBxC][:sampling=function])\n");
     for (name, about) in phantom::list() {
         out.push_str(&format!("  {name:<22} {about}\n"));
+    }
+    out.push_str(
+        "\nFunctions of x, y and z in mm, as volumes over 160 mm (function:EXPRESSION[:size=N][:spacing=AxBxC]):\n\
+         arithmetic, ^, <, >, numbers, pi and\n",
+    );
+    for (name, parameters, about) in FUNCTIONS {
+        out.push_str(&format!(
+            "  {:<22} {about}\n",
+            format!("{name}({})", parameters.join(","))
+        ));
     }
     out.trim_end().to_owned()
 }

@@ -9,7 +9,7 @@ use crate::export::protect;
 use crate::files::{OutputFile, check_distinct, memory};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::{Prepared, idle_settings};
-use crate::scene::Scene;
+use crate::scene::{MapFiltering, Scene};
 use crate::volume::load::Origin;
 use crate::{Error, Result, Watch};
 use clap::Args;
@@ -95,7 +95,7 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
             rendered.notices.clone(),
         ]
         .concat();
-        let report = report(
+        let mut report = report(
             &rendered,
             &device,
             &prepared,
@@ -104,6 +104,12 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
             total,
             arguments.backend,
         );
+        report["filter"] = json!(engine.filter());
+        report["map_filter"] = json!(match prepared.settings.map_filter {
+            Some(MapFiltering::Hardware) => "trilinear, 8-bit weights",
+            Some(MapFiltering::Shader) => "trilinear, 24-bit weights or more",
+            None => engine.filter(),
+        });
         common.write_stats(&format!("{report:#}"), stats_file)?;
     }
     if common.verbose {
@@ -236,6 +242,7 @@ fn report(
         "step_mm": prepared.frame.spacing.step_mm,
         "samples": samples,
         "notices": notices,
+        "jacobian": prepared.settings.jacobian,
         "maps": maps,
         "tears": prepared.tears,
         "composition": composition,

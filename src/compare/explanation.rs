@@ -46,5 +46,17 @@ pub(super) fn explanation(runs: &[Run]) -> Vec<String> {
                 .to_owned(),
         );
     }
+    if differ(|run| run.method.map_filter) {
+        sentences.push(
+            "Displacement maps are interpolated with different weights: with 8 bits a sample moves by up to 1/512 texel of the map, which shows at edges in coarse maps."
+                .to_owned(),
+        );
+    }
+    if differ(|run| run.method.jacobian) {
+        sentences.push(
+            "Stored Jacobians are the differences at the texels, rounded to the map's format and interpolated between them; they differ from differences at the sample by that rounding, and in the outermost texels."
+                .to_owned(),
+        );
+    }
     sentences
 }

@@ -80,16 +80,10 @@ pub fn run(
         for &size in &plan.sizes {
             let first = sweep.runs.len();
             for &mode in &plan.modes {
-                let all = plan
-                    .slices
-                    .iter()
-                    .take(if mode == Mode::Slice { usize::MAX } else { 1 });
-                for options in all {
+                for options in plan.options_in(mode) {
                     for &step in &plan.steps {
                         let mut scene = plan.at(mode, step, size, camera);
-                        if mode == Mode::Slice {
-                            options.apply(&mut scene);
-                        }
+                        options.apply(&mut scene);
                         sweep.time_backends(&scene)?;
                     }
                 }
@@ -289,9 +283,9 @@ fn work(plan: &Plan, gpu: bool) -> f32 {
     .len();
     let references = plan.reference.map_or(0.0, |s| kinds as f32 / s);
     let pixels: f32 = plan.sizes.iter().copied().map(area).sum();
-    let of_slices = plan.modes.iter().filter(|m| **m == Mode::Slice).count();
-    let renderers = plan.modes.len() + of_slices * plan.slices.len().saturating_sub(1);
-    (pixels * plan.cameras.len() as f32 * (renderers as f32 * per_pixel * repetitions + references))
+    (pixels
+        * plan.cameras.len() as f32
+        * (plan.renderer_count() as f32 * per_pixel * repetitions + references))
         .max(f32::MIN_POSITIVE)
 }
 

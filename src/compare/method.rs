@@ -2,52 +2,77 @@
 //! comes from.
 
 use crate::prepare::Prepared;
-use crate::scene::{BlendFormat, Mode, Normals, Projection, Scene, SliceOrder};
+use crate::scene::{BlendFormat, JacobianSource, MapFiltering, Mode, Normals, Projection, Scene, SliceOrder};
 use serde::Serialize;
 
-/// The options of slices that a comparison varies.
+/// The options of a renderer that a comparison varies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SliceOptions {
+pub struct RendererOptions {
     /// Slices composited inside one fragment.
     pub slab: u32,
     /// The order of drawing.
     pub order: SliceOrder,
     /// The number format of blending.
     pub format: BlendFormat,
+    /// How the Jacobians of maps are found.
+    pub jacobian: JacobianSource,
+    /// How maps are interpolated; the device's own way if it is not stated.
+    pub map_filter: Option<MapFiltering>,
 }
 
-impl SliceOptions {
+impl RendererOptions {
     /// Those of a scene.
     pub fn of(scene: &Scene) -> Self {
         Self {
             slab: scene.render.slab,
             order: scene.render.slice_order,
             format: scene.render.blend_format,
+            jacobian: scene.render.jacobian,
+            map_filter: scene.render.map_filter,
+        }
+    }
+
+    /// Those of these that act in a scene's mode; the others are the scene's own.
+    pub(super) fn acting(self, scene: &Scene) -> Self {
+        if scene.render.mode == Mode::Slice {
+            return self;
+        }
+        Self {
+            jacobian: self.jacobian,
+            map_filter: self.map_filter,
+            ..Self::of(scene)
         }
     }
 
     /// Sets them in a scene.
     pub(super) fn apply(self, scene: &mut Scene) {
-        (
-            scene.render.slab,
-            scene.render.slice_order,
-            scene.render.blend_format,
-        ) = (self.slab, self.order, self.format);
+        let render = &mut scene.render;
+        (render.slab, render.slice_order, render.blend_format) = (self.slab, self.order, self.format);
+        (render.jacobian, render.map_filter) = (self.jacobian, self.map_filter);
     }
 
-    /// The options that differ from the defaults, for names; empty if none does.
-    pub(super) fn label(self) -> String {
+    /// The options that act in a mode and differ from the defaults, for names; empty if none does.
+    pub(super) fn label(self, mode: Mode) -> String {
         let mut parts = Vec::new();
-        if self.slab != 1 {
+        let is_slice = mode == Mode::Slice;
+        if is_slice && self.slab != 1 {
             parts.push(format!("slab {}", self.slab));
         }
-        if self.order == SliceOrder::FrontToBack {
+        if is_slice && self.order == SliceOrder::FrontToBack {
             parts.push("front to back".to_owned());
         }
-        if self.format == BlendFormat::Float16 {
+        if is_slice && self.format == BlendFormat::Float16 {
             parts.push("16 bits".to_owned());
         }
-        parts.join(" ")
+        if self.jacobian == JacobianSource::Stored {
+            parts.push("stored Jacobian".to_owned());
+        }
+        match self.map_filter {
+            Some(MapFiltering::Shader) => parts.push("maps by the shader".to_owned()),
+            Some(MapFiltering::Hardware) => parts.push("maps by hardware".to_owned()),
+            None => {}
+        }
+        parts.join(", ")
     }
 }
 
@@ -64,11 +89,15 @@ pub struct Method {
     pub blend_format: &'static str,
     /// How voxels are interpolated.
     pub filter: &'static str,
+    /// How displacement maps are interpolated.
+    pub map_filter: &'static str,
+    /// How the Jacobians of displacement maps are found.
+    pub jacobian: &'static str,
     /// How samples are shaded.
     pub light: &'static str,
     /// Where a pixel ends early.
     pub early_stop: &'static str,
-    /// The options of slices, for names; empty for rays and for the defaults.
+    /// The options that differ from the defaults, for names.
     #[serde(skip)]
     pub variant: String,
     /// Whether the picture is in perspective.
@@ -116,11 +145,16 @@ impl Method {
             } else {
                 "none"
             },
-            variant: if is_slice {
-                SliceOptions::of(scene).label()
-            } else {
-                String::new()
+            map_filter: match settings.map_filter {
+                Some(MapFiltering::Shader) => "in the shader, 24-bit weights or more",
+                Some(MapFiltering::Hardware) => "by the hardware, 8-bit weights",
+                None => "as volumes",
             },
+            jacobian: match settings.jacobian {
+                JacobianSource::Differences => "by differences",
+                JacobianSource::Stored => "stored for each texel",
+            },
+            variant: RendererOptions::of(scene).label(settings.mode),
             is_perspective: prepared.frame.view.projection == Projection::Perspective,
         }
     }

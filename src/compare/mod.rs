@@ -27,7 +27,7 @@ mod run;
 
 pub use curves::{Curve, EqualError, MIN_ERROR, RendererCost, at_error, common_error, curves, equal_errors};
 pub use folder::write_files;
-pub use method::{Method, SliceOptions};
+pub use method::{Method, RendererOptions};
 pub use metrics::{Difference, difference, difference_picture};
 pub use report::{Protocol, Report, RunPair};
 pub use run::{Memory, Run, Times, ViewKey, run};

@@ -1,7 +1,7 @@
 //! The plan of a comparison: modes, steps, sizes, cameras and the step of the references; and
 //! checks that it can be carried out.
 
-use super::method::SliceOptions;
+use super::method::RendererOptions;
 use super::run::mode_name;
 use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
 use crate::scene::{Camera, Mode, Scene};
@@ -25,8 +25,8 @@ pub struct Plan {
     pub scene: Scene,
     /// Modes.
     pub modes: Vec<Mode>,
-    /// Options of slices, each of which is a renderer of its own.
-    pub slices: Vec<SliceOptions>,
+    /// Options, each of which is a renderer of its own in every mode in which it acts.
+    pub options: Vec<RendererOptions>,
     /// Steps, voxels (of the smallest spacing).
     pub steps: Vec<f32>,
     /// Sizes of pictures, pixels.
@@ -65,7 +65,7 @@ impl Plan {
     pub fn of(scene: Scene) -> Self {
         Self {
             modes: modes_of(&scene),
-            slices: vec![SliceOptions::of(&scene)],
+            options: vec![RendererOptions::of(&scene)],
             steps: vec![scene.render.step],
             sizes: vec![scene.render.size],
             cameras: vec![scene.camera.clone()],
@@ -153,10 +153,10 @@ impl Plan {
                 "is named twice; a mode is not compared with itself",
             ));
         }
-        if (1..self.slices.len()).any(|n| self.slices[..n].contains(&self.slices[n])) {
+        if (1..self.options.len()).any(|n| self.options[..n].contains(&self.options[n])) {
             return Err(Error::value(
-                "--slabs, --slice-orders, --blend-formats",
-                "name the same slices twice; a renderer is not compared with itself",
+                "--slabs, --slice-orders, --blend-formats, --jacobians, --map-filters",
+                "name the same renderer twice; it is not compared with itself",
             ));
         }
         Ok(())
@@ -228,13 +228,7 @@ impl Plan {
                 .map(|m| *m == Mode::Surface || self.scene.volume.is_none()),
         )
         .len();
-        let of_slices = if self.modes.contains(&Mode::Slice) {
-            self.slices.len().saturating_sub(1)
-        } else {
-            0
-        };
-        let renderers = self.modes.len() + of_slices;
-        let pictures = (renderers * self.steps.len() * backends
+        let pictures = (self.renderer_count() * self.steps.len() * backends
             + if self.reference.is_some() { kinds } else { 0 })
             * self.cameras.len();
         let pixels = self
@@ -265,12 +259,30 @@ impl Plan {
         scene
     }
 
+    /// The different options in a mode.
+    pub(super) fn options_in(&self, mode: Mode) -> Vec<RendererOptions> {
+        let mut scene = self.scene.clone();
+        scene.render.mode = mode;
+        let mut all: Vec<RendererOptions> = Vec::new();
+        for options in self.options.iter().map(|options| options.acting(&scene)) {
+            if !all.contains(&options) {
+                all.push(options);
+            }
+        }
+        all
+    }
+
+    /// Number of renderers on one backend.
+    pub(super) fn renderer_count(&self) -> usize {
+        self.modes.iter().map(|&mode| self.options_in(mode).len()).sum()
+    }
+
     /// A name that distinguishes a run from all others: mode and backend, and the settings that the
     /// plan varies.
     pub(super) fn name(&self, head: &str, scene: &Scene, names_step: bool) -> String {
         let mut name = head.to_owned();
-        if scene.render.mode == Mode::Slice && self.slices.len() > 1 {
-            let label = SliceOptions::of(scene).label();
+        if self.options.len() > 1 {
+            let label = RendererOptions::of(scene).label(scene.render.mode);
             name += if label.is_empty() { "" } else { " " };
             name += &label;
         }

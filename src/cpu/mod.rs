@@ -29,6 +29,7 @@
 
 mod found;
 pub mod march;
+mod outline;
 mod packet;
 mod packet_shading;
 pub mod pick;

@@ -15,7 +15,7 @@ use half::f16;
 use ndarray::Array3;
 use rayon::prelude::*;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// A grid of inverse displacement and mask over the unit cube.
 pub struct DisplacementMap {
@@ -30,6 +30,9 @@ pub struct DisplacementMap {
     /// Empty until first used if a device made the texels; then sampled again on the CPU.
     detail: OnceLock<TexelPyramids>,
     definition: Option<MapDefinition>,
+    /// J_D and the mask's gradient for each texel, once they are needed: plain, and of a map whose
+    /// last grid plane along x is the first one.
+    pub(super) slopes: [OnceLock<Arc<Self>>; 2],
 }
 
 /// Number of points between checks for cancellation.
@@ -217,6 +220,7 @@ impl DisplacementMap {
             whole,
             detail: detail.into(),
             definition: None,
+            slopes: Default::default(),
         }
     }
 
@@ -229,6 +233,7 @@ impl DisplacementMap {
             whole,
             detail: OnceLock::new(),
             definition: Some(definition),
+            slopes: Default::default(),
         }
     }
 

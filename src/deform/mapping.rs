@@ -11,9 +11,9 @@
 //! of the placement, evaluated at every sample by every renderer, with its Jacobian and with bounds
 //! for empty space.
 
-use super::{DisplacementMap, Placement};
+use super::{DisplacementMap, MapFilter, Placement};
 use crate::math::Bounds;
-use glam::{Mat3, Vec2, Vec3, Vec3Swizzles, Vec4, Vec4Swizzles};
+use glam::{Mat3, Vec2, Vec3, Vec3Swizzles, Vec4Swizzles};
 use std::f32::consts::TAU;
 
 /// A cylinder in the box of a placement.
@@ -121,24 +121,23 @@ impl Cylinder {
 
     /// Displacement along the axes of the box, mm, and mask at a point of the unit cube; none
     /// outside the cylinder.
-    pub fn displacement(&self, map: &DisplacementMap, x: Vec3) -> Option<(Vec3, f32)> {
+    pub fn displacement(&self, map: &DisplacementMap, filter: &MapFilter, x: Vec3) -> Option<(Vec3, f32)> {
         let polar = self.polar(x);
         Self::holds(polar.u).then(|| {
-            let t = map.fetch(polar.u);
+            let t = filter.fetch(map, polar.u);
             (self.moved(&polar, t.xyz() * map.scale), t.w)
         })
     }
 
     /// d source / d deformed and the mask's gradient, both along the axes of the box and per mm; none
     /// outside the cylinder.
-    pub fn derivatives(&self, map: &DisplacementMap, x: Vec3) -> Option<(Mat3, Vec3)> {
+    pub fn derivatives(&self, map: &DisplacementMap, filter: &MapFilter, x: Vec3) -> Option<(Mat3, Vec3)> {
         let polar = self.polar(x);
         if !Self::holds(polar.u) {
             return None;
         }
-        let t = map.fetch(polar.u);
-        let d = t.xyz() * map.scale;
-        let (j, slope) = wrapped_derivatives(map, polar.u);
+        let d = filter.fetch(map, polar.u).xyz() * map.scale;
+        let (j, slope) = filter.wrapped_derivatives(map, polar.u);
         // Rows of J_C, columns of the Jacobian of C⁻¹.
         let per_turn = (TAU * polar.radius_mm.max(self.min_radius_mm)).recip();
         let d_map_d_local = Mat3::from_cols(
@@ -334,31 +333,4 @@ fn vectors(lengths: [f32; 2], angles: [f32; 2]) -> [Vec2; 2] {
     };
     let (x, y) = (product(x), product(y));
     [Vec2::new(x[0], y[0]), Vec2::new(x[1], y[1])]
-}
-
-/// J_D and the mask's gradient as [`DisplacementMap::derivatives`], with differences that wrap along
-/// x: the last grid plane is the first one.
-fn wrapped_derivatives(map: &DisplacementMap, u: Vec3) -> (Mat3, Vec3) {
-    let mut columns = [Vec3::ZERO; 3];
-    let mut slope = Vec3::ZERO;
-    for axis in 0..3 {
-        if map.size[axis] == 1 {
-            continue;
-        }
-        let step = 1.0 / (map.size[axis] - 1) as f32;
-        let (mut low, mut high) = (u, u);
-        let width;
-        if axis == 0 {
-            (low.x, high.x) = ((u.x - step).rem_euclid(1.0), (u.x + step).rem_euclid(1.0));
-            width = 2.0 * step;
-        } else {
-            low[axis] = (u[axis] - step).clamp(0.0, 1.0 - step);
-            high[axis] = (u[axis] + step).clamp(step, 1.0);
-            width = high[axis] - low[axis];
-        }
-        let d: Vec4 = (map.fetch(high) - map.fetch(low)) / width;
-        columns[axis] = d.xyz() * map.scale;
-        slope[axis] = d.w;
-    }
-    (Mat3::from_cols(columns[0], columns[1], columns[2]), slope)
 }

@@ -24,6 +24,7 @@ pub mod distance;
 pub mod elastic;
 mod field;
 pub mod file_kinds;
+mod filter;
 mod formula;
 pub mod invert;
 pub mod kinds;
@@ -43,6 +44,7 @@ mod whole;
 
 pub use argument::{Argument, Arguments};
 pub use field::MapDefinition;
+pub use filter::MapFilter;
 pub use formula::{Formula, FormulaKind, MAX_FORMULA_NUMBERS};
 pub use library::Library;
 pub use map::{DisplacementMap, TexelRange};

@@ -17,7 +17,7 @@ mod lanes;
 
 use super::mapping::Cylinder;
 use super::texel::{MIN_MARKED_ALPHA, MIN_MARKED_SLOPE};
-use super::{DisplacementMap, Placement, TexelSample};
+use super::{DisplacementMap, MapFilter, Placement, TexelSample};
 use crate::math::Bounds;
 use glam::{Mat3, Vec3, Vec4Swizzles};
 use std::sync::Arc;
@@ -42,6 +42,8 @@ pub struct PlacedMap {
     pub cylinder: Option<Cylinder>,
     /// `world_from_map`'s linear part times the map's scale: from stored displacement to mm.
     pub(super) world_from_stored: Mat3,
+    /// How it is interpolated and differentiated.
+    pub filter: MapFilter,
 }
 
 impl PartialEq for PlacedMap {
@@ -50,6 +52,7 @@ impl PartialEq for PlacedMap {
         Arc::ptr_eq(&self.map, &other.map)
             && (self.placement, self.added, self.reach, self.cylinder)
                 == (other.placement, other.added, other.reach, other.cylinder)
+            && self.filter == other.filter
     }
 }
 
@@ -129,6 +132,7 @@ impl PlacedMap {
             reach: Vec3::ZERO,
             cylinder: None,
             world_from_stored,
+            filter: MapFilter::default(),
         }
     }
 
@@ -136,6 +140,16 @@ impl PlacedMap {
     pub fn mapped_cylindrically(mut self) -> Self {
         self.reach = Vec3::ZERO;
         self.cylinder = Some(Cylinder::new(&self.placement, self.map.size[2]));
+        self
+    }
+
+    /// The same map, interpolated with weights of 8 bits as by filtering hardware if `short_weights`,
+    /// and differentiated by slopes stored for each texel if `stored_slopes`.
+    pub fn filtered(mut self, short_weights: bool, stored_slopes: bool) -> Self {
+        self.filter = MapFilter {
+            has_short_weights: short_weights,
+            slopes: stored_slopes.then(|| self.map.slopes(self.cylinder.is_some())),
+        };
         self
     }
 
@@ -149,7 +163,7 @@ impl PlacedMap {
         // As fine across the axis as away from it.
         let across = (2 * away).clamp(2, 256);
         let map = DisplacementMap::from_fn([across, across, along], self.map.storage, |x| {
-            match cylinder.displacement(&self.map, x) {
+            match cylinder.displacement(&self.map, &self.filter, x) {
                 Some((local_mm, alpha)) => TexelSample {
                     displacement: local_mm / cylinder.box_mm,
                     alpha,
@@ -193,12 +207,12 @@ impl PlacedMap {
         }
         if let Some(cylinder) = &self.cylinder {
             return cylinder
-                .displacement(&self.map, x)
+                .displacement(&self.map, &self.filter, x)
                 .map_or((Vec3::ZERO, 1.0), |(d, alpha)| {
                     (cylinder.world_from_local * d, alpha)
                 });
         }
-        let t = self.map.fetch(x);
+        let t = self.filter.fetch(&self.map, x);
         (self.world_from_stored * t.xyz(), t.w)
     }
 
@@ -220,11 +234,11 @@ impl PlacedMap {
             return None;
         }
         if let Some(cylinder) = &self.cylinder {
-            let (j, slope) = cylinder.derivatives(&self.map, x)?;
+            let (j, slope) = cylinder.derivatives(&self.map, &self.filter, x)?;
             let (to, from) = (cylinder.world_from_local, cylinder.local_from_world);
             return Some((to * j * from, from.transpose() * slope));
         }
-        let (j, slope) = self.map.derivatives(x);
+        let (j, slope) = self.filter.derivatives(&self.map, x);
         let inverse = Mat3::from(self.placement.map_from_world.matrix3);
         let linear = Mat3::from(self.placement.world_from_map.matrix3);
         Some((Mat3::IDENTITY + linear * j * inverse, inverse.transpose() * slope))
@@ -288,6 +302,18 @@ impl Stack {
     /// Ensures that all texels are sampled before many threads need them.
     pub fn fetch_texels(&self) {
         self.all_maps().for_each(|m| m.map.fetch_texels());
+    }
+
+    /// The same stack with every map as [`PlacedMap::filtered`]. A precomposed map keeps its
+    /// differences, which find its marked texels.
+    pub fn filtered(mut self, short_weights: bool, stored_slopes: bool) -> Self {
+        let filtered = |map: PlacedMap| map.filtered(short_weights, stored_slopes);
+        self.maps = self.maps.into_iter().map(filtered).collect();
+        self.precomposed = self.precomposed.map(|mut precomposed| {
+            precomposed.map = precomposed.map.filtered(short_weights, false);
+            precomposed
+        });
+        self
     }
 
     /// A stack of maps in order of application.

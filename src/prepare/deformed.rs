@@ -3,13 +3,14 @@
 use super::accelerator::{Accelerator, CpuOnly};
 use super::assets::Assets;
 use super::spacing::blend_mm;
-use super::stack::{self, Composition, NamedStack, StackInputs};
+use super::stack::{self, Composition, NamedStack};
+use super::stack_inputs::StackInputs;
 use super::{PrepareOptions, inside};
 use crate::deform::cut::CutShapes;
 use crate::deform::{Stack, StackAndCuts, Storage, invert};
 use crate::math::Bounds;
 use crate::mesh::Mesh;
-use crate::scene::{Scene, ViewFrame};
+use crate::scene::{JacobianSource, MapFiltering, Scene, ViewFrame};
 use crate::{Result, Watch};
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
@@ -75,6 +76,10 @@ impl Deformed {
         let NamedStack { stack, names, cuts } =
             stack::stack(&scene.deformation, &inputs, inside, options.more_maps.to_vec())?;
         let (stack, composition) = stack::composed(stack, &inputs, settings.precompose)?;
+        let stack = stack.filtered(
+            settings.map_filter == Some(MapFiltering::Hardware),
+            settings.jacobian == JacobianSource::Stored,
+        );
         Ok(Self {
             stack,
             names,

@@ -5,7 +5,7 @@ use super::objects::Stage;
 use super::prepared::Prepared;
 use crate::deform::kinds;
 use crate::scene::surface::{Steps, SurfaceSettings};
-use crate::scene::{Camera, Light, Mode, Projection, RenderSettings, Scene, SliceOrder};
+use crate::scene::{Camera, Light, Mode, Normals, Projection, RenderSettings, Scene, SliceOrder};
 use crate::transfer::{Blend, TransferSettings};
 use serde::Serialize;
 use toml::Value;
@@ -134,6 +134,24 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         prepared.frame.view.projection == Projection::Perspective,
         &["camera.field_of_view"],
         "it acts in perspective",
+    );
+    let differentiates =
+        volume && prepared.is_lit() && matches!(settings.normals, Normals::Transformed | Normals::Blended)
+            || rays;
+    unless(
+        prepared
+            .stack
+            .maps()
+            .iter()
+            .any(|map| map.map.has_displacement() || map.map.has_cuts())
+            && differentiates,
+        &["render.jacobian"],
+        "no normal is taken through a displacement map",
+    );
+    unless(
+        !prepared.stack.is_empty(),
+        &["render.map_filter"],
+        "the scene has no displacement map",
     );
     surface_settings(prepared, scene, surfaces, rays, &mut unless);
     all

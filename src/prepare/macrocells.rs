@@ -320,10 +320,16 @@ impl Macrocells {
     }
 }
 
-/// The farther of a ray's parameters at two planes of each axis; a ray along a plane never leaves.
+/// A ray with a larger reciprocal along an axis runs along that axis's planes: within a block of at
+/// most 127 cells it moves across them by less than the margin of a cell.
+const MAX_RECIPROCAL: f32 = 1e6;
+
+/// The farther of a ray's parameters at two planes of each axis; a ray along a plane never leaves
+/// through it.
 #[inline(always)]
 fn farther(a: Vec3, b: Vec3, inverse_direction: Vec3) -> Vec3 {
-    Vec3::select(inverse_direction.is_finite_mask(), a.max(b), Vec3::INFINITY)
+    let crosses = inverse_direction.abs().cmple(Vec3::splat(MAX_RECIPROCAL));
+    Vec3::select(crosses, a.max(b), Vec3::INFINITY)
 }
 
 impl Macrocells {

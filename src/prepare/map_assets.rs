@@ -2,7 +2,7 @@
 //! field from a file, an inverse. Placement and progress are applied where a map is made; here it is
 //! laid round an axis, faded towards the faces of its box, and kept from spared labels.
 
-use super::stack::StackInputs;
+use super::stack_inputs::StackInputs;
 use crate::deform::mapping::Cylinder;
 use crate::deform::{DisplacementMap, PlacedMap, TexelSample};
 use crate::math::{DistanceGrid, smoothstep};

@@ -24,6 +24,7 @@ mod sampled;
 pub mod slices;
 mod spacing;
 pub mod stack;
+mod stack_inputs;
 pub mod surface_cells;
 mod tears;
 mod visibility;
@@ -36,6 +37,7 @@ pub use idle::{IdleSetting, idle_settings};
 pub use macrocells::{CellGrid, CellState, Macrocells, VisibilityCriteria};
 pub use prepared::{Frame, Prepared};
 pub use spacing::SampleSpacing;
+pub use stack_inputs::StackInputs;
 pub use tears::Tear;
 pub use volume::VolumeObject;
 

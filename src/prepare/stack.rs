@@ -1,40 +1,18 @@
 //! A scene's deformations as a stack of maps.
 
-use super::accelerator::Accelerator;
 use super::map_assets::{finished, is_cylindrical};
+use super::stack_inputs::{INSIDE, StackInputs};
 use crate::deform::compose::{self, PrecomposeError};
 use crate::deform::cut::{CutShape, CutShapes, MAX_CUTS};
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds::{self, DefaultSize, FieldInputs, Kind, RoundMap, Sampling};
 use crate::deform::mapping::Cylinder;
-use crate::deform::{Arguments, DisplacementMap, Library, PlacedMap, Placement, Stack, Storage, saved};
+use crate::deform::{Arguments, DisplacementMap, PlacedMap, Placement, Stack, Storage, saved};
 use crate::error::suggestion;
-use crate::math::Bounds;
-use crate::scene::{Deformation, ViewFrame};
+use crate::scene::Deformation;
 use crate::{Error, Result, Watch};
 use glam::{Affine3A, Mat3, Vec3};
 use std::sync::Arc;
-
-/// The inputs of a stack of maps in addition to the scene's deformations.
-#[derive(Clone, Copy)]
-pub struct StackInputs<'a> {
-    /// Files and volumes.
-    pub library: &'a Library,
-    /// The undeformed scene's box, mm.
-    pub scene_box: Bounds,
-    /// Minimum half width of the mask's ramp, mm.
-    pub min_ramp_mm: f32,
-    /// The camera, for deformations locked to the view.
-    pub view: &'a ViewFrame,
-    /// Overrides every storage format.
-    pub storage: Option<Storage>,
-    /// Whether removals that no later deformation moves stay analytic shapes.
-    pub exact_cuts: bool,
-    /// Samples maps.
-    pub accelerator: &'a dyn Accelerator,
-    /// Receives progress, and can cancel.
-    pub watch: &'a Watch<'a>,
-}
 
 /// The outcome of composing, for reports.
 #[derive(Clone, Copy, Debug)]
@@ -102,7 +80,7 @@ pub fn stack(
         }
     }
     let mut maps = first;
-    let mut names = vec!["volume.inside".to_owned(); maps.len()];
+    let mut names = vec![INSIDE.to_owned(); maps.len()];
     let all = enabled[..first_cut].len().max(1) as f32;
     for (n, d) in enabled[..first_cut].iter().enumerate() {
         // Each deformation is an equal fraction of the whole.

@@ -7,6 +7,7 @@
 //! come from different places.
 
 use super::deformed::Deformed;
+use super::stack_inputs::INSIDE;
 use crate::deform::PlacedMap;
 use crate::math::Bounds;
 use glam::Vec3;
@@ -69,7 +70,8 @@ pub(super) fn tears(
     let scene = scene_box.grown(-2.0 * tolerance_mm);
     let mut found: Vec<Tear> = Vec::new();
     for (n, map) in maps.iter().enumerate() {
-        let moves = map.map.has_displacement();
+        // Outside the mesh that holds the volume nothing is seen.
+        let moves = map.map.has_displacement() && deformed.names[n] != INSIDE;
         if !moves
             || deformed
                 .stack

@@ -16,6 +16,8 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct AtlasSlot {
     pub origin: [u32; 3],
+    /// That of its stored slopes, if it has any.
+    pub slopes_origin: [u32; 3],
     /// Whether it is in the single-precision atlas.
     pub single: bool,
 }

@@ -193,6 +193,7 @@ fn classification_pipeline(
             ("MAPS", key.0 as f64),
             ("CUTS", key.1 as f64),
             ("EXACT", f64::from(u8::from(key.2))),
+            ("EXACT_MAPS", f64::from(u8::from(key.2))),
         ];
         context.compute_pipeline_at(
             Program::Classify,

@@ -156,6 +156,7 @@ impl MapCache {
                     &[
                         ("MAPS", part.maps().len() as f64),
                         ("EXACT", f64::from(u8::from(context.strategy.exact_filter))),
+                        ("EXACT_MAPS", f64::from(u8::from(context.strategy.exact_filter))),
                     ],
                 );
                 context.compute(&pipeline, &bindings, &positions)

@@ -33,6 +33,11 @@ pub(super) struct MapCache {
     atlases: Mutex<[Atlas; 2]>,
 }
 
+/// What an atlas holds of a map: its texels, and its stored slopes.
+fn textures_of(placed: &PlacedMap) -> impl Iterator<Item = &Arc<DisplacementMap>> {
+    std::iter::once(&placed.map).chain(&placed.filter.slopes)
+}
+
 /// Bytes of a texture's texels.
 fn bytes_of(texture: &wgpu::Texture) -> usize {
     let size = texture.size();
@@ -114,7 +119,10 @@ impl MapCache {
         let mut count = cached.len();
         cached.retain(|k| {
             let goes = (bytes > MAX_CACHED_MAP_BYTES || count > MAX_CACHED_MAPS)
-                && !in_use.all_maps().any(|m| Arc::ptr_eq(&m.map, &k.map));
+                && !in_use
+                    .all_maps()
+                    .flat_map(textures_of)
+                    .any(|map| Arc::ptr_eq(map, &k.map));
             if goes {
                 bytes -= cached_bytes(k);
                 count -= 1;
@@ -179,6 +187,7 @@ impl MapCache {
             *uniform = PlacedMapUniform::new(
                 map,
                 place.origin,
+                place.slopes_origin,
                 place.single,
                 [size.width, size.height, size.depth_or_array_layers],
             );
@@ -202,9 +211,10 @@ impl MapCache {
             let members: Vec<usize> = (0..all.len()).filter(of_atlas).collect();
             let mut maps: Vec<Arc<DisplacementMap>> = Vec::new();
             for n in &members {
-                let map = &all[*n].map;
-                if !maps.iter().any(|m| Arc::ptr_eq(m, map)) {
-                    maps.push(map.clone());
+                for map in textures_of(all[*n]) {
+                    if !maps.iter().any(|m| Arc::ptr_eq(m, map)) {
+                        maps.push(map.clone());
+                    }
                 }
             }
             let format = if single {
@@ -214,9 +224,13 @@ impl MapCache {
             };
             replaced |= self.fill(context, atlas, &maps, format)?;
             for n in members {
-                let entry = atlas.find(&all[n].map).map(|e| atlas.entries[e].region.origin);
+                let origin_of = |map: &Arc<DisplacementMap>| {
+                    let entry = atlas.find(map).map(|e| atlas.entries[e].region.origin);
+                    entry.unwrap_or_default()
+                };
                 places[n] = AtlasSlot {
-                    origin: entry.unwrap_or_default(),
+                    origin: origin_of(&all[n].map),
+                    slopes_origin: all[n].filter.slopes.as_ref().map(origin_of).unwrap_or_default(),
                     single,
                 };
             }

@@ -2,13 +2,12 @@
 
 use super::context::{Context, lock};
 use super::counter::Counter;
-use super::slices::Corner;
-use super::target::{MASK, PROJECTION_FORMAT};
+use super::target::{Corner, MASK, PROJECTION_FORMAT};
 use super::variant::{Variant, overrides};
 use super::work::ResourceKind;
 use crate::gpu::shaders::Program;
 use crate::prepare::Prepared;
-use crate::scene::{BlendFormat, Mode, Normals, SliceOrder};
+use crate::scene::{BlendFormat, MapFiltering, Mode, Normals, SliceOrder};
 use crate::transfer::Blend;
 use wgpu::TextureFormat;
 
@@ -21,6 +20,7 @@ impl Context {
         Variant {
             program,
             exact: self.strategy.exact_filter,
+            exact_maps: self.filters_maps_exactly(scene),
             counting: counting && (march || matches!(program, Program::Surface | Program::SliceSurface)),
             maps: scene.stack.maps().len(),
             precomposed: scene.stack.precomposed().is_some(),
@@ -58,6 +58,14 @@ impl Context {
                     Program::SliceSurface | Program::Resolve | Program::SurfacesBehind
                 ))
                 && scene.has_surfaces_behind(),
+        }
+    }
+
+    /// Whether shaders interpolate a scene's maps.
+    fn filters_maps_exactly(&self, scene: &Prepared) -> bool {
+        match scene.settings.map_filter {
+            Some(filter) => filter == MapFiltering::Shader,
+            None => self.strategy.exact_filter,
         }
     }
 

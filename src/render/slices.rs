@@ -12,7 +12,7 @@ use super::context::{Context, lock};
 use super::counter::Counter;
 use super::draw::{Canvas, Draw, PendingSubmissions};
 use super::pipelines::{color_target, gathered_layout};
-use super::target::{MASK, PROJECTION_FORMAT};
+use super::target::{Corner, MASK, PROJECTION_FORMAT};
 use super::variant::{Variant, overrides};
 use super::work::ResourceKind;
 use crate::Result;
@@ -28,9 +28,6 @@ use std::ops::Range;
 const SAMPLES_PER_BATCH: u64 = 1 << 24;
 /// Slices between two passes that mask opaque pixels, at least.
 const SLICES_PER_MASK: u32 = 32;
-
-/// A triangle corner: position in world mm, and the index of the slab's nearest slice.
-pub(super) type Corner = [f32; 4];
 
 /// The triangles of slabs, and each slab's range of corners in the order in which they are drawn.
 fn triangles(slices: &SlicePolygons, order: SliceOrder) -> (Vec<Corner>, Vec<Range<u32>>) {

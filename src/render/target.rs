@@ -12,6 +12,9 @@ pub(super) const DEPTH: TextureFormat = TextureFormat::Depth32Float;
 /// Depth format of the mask of opaque pixels.
 pub(super) const MASK: TextureFormat = TextureFormat::Depth32Float;
 
+/// A corner of a slice's triangle: position in world mm, and the index of the slab's nearest slice.
+pub(super) type Corner = [f32; 4];
+
 /// A texture with its view.
 #[derive(Clone, PartialEq)]
 pub(super) struct RenderTexture {

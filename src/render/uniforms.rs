@@ -116,6 +116,8 @@ pub struct PlacedMapUniform {
     pub radius_mm: f32,
     pub box_mm: [f32; 3],
     pub min_radius_mm: f32,
+    pub slopes_origin: [f32; 3],
+    pub slopes_scale: f32,
 }
 
 fn affine(m: &Affine3A) -> [f32; 16] {
@@ -188,9 +190,16 @@ impl FrameUniform {
 }
 
 impl PlacedMapUniform {
-    /// One map of the stack, whose texels start at `origin` in an atlas of half or `single`
+    /// One map of the stack, whose texels start at `origin`, and whose stored slopes, if there are
+    /// any, at `slopes_origin`, in an atlas of half or `single`
     /// precision with `atlas` texels.
-    pub fn new(placed: &PlacedMap, origin: [u32; 3], single: bool, atlas: [u32; 3]) -> Self {
+    pub fn new(
+        placed: &PlacedMap,
+        origin: [u32; 3],
+        slopes_origin: [u32; 3],
+        single: bool,
+        atlas: [u32; 3],
+    ) -> Self {
         let world_from_stored = Mat3::from(placed.placement.world_from_map.matrix3) * placed.map.scale;
         Self {
             map_from_world: affine(&placed.placement.map_from_world),
@@ -205,6 +214,12 @@ impl PlacedMapUniform {
             radius_mm: placed.cylinder.map_or(0.0, |c| c.radius_mm),
             box_mm: placed.placement.size_mm().into(),
             min_radius_mm: placed.cylinder.map_or(0.0, |c| c.min_radius_mm),
+            slopes_origin: slopes_origin.map(|n| n as f32),
+            slopes_scale: placed
+                .filter
+                .slopes
+                .as_ref()
+                .map_or(0.0, |slopes| slopes.scale / placed.map.scale),
         }
     }
 }

@@ -26,12 +26,13 @@ pub(super) struct Variant {
     pub(super) behind: bool,
     pub(super) colors: bool,
     pub(super) exact: bool,
+    pub(super) exact_maps: bool,
     /// The volume's function, by its number.
     pub(super) function: Option<u64>,
 }
 
 /// Values of the shaders' `override` constants.
-pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 13] {
+pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 14] {
     [
         ("MAPS", variant.maps as f64),
         ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
@@ -46,5 +47,6 @@ pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 13] {
         ("COLORS", f64::from(u8::from(variant.colors))),
         ("BEHIND", f64::from(u8::from(variant.behind))),
         ("EXACT", f64::from(u8::from(variant.exact))),
+        ("EXACT_MAPS", f64::from(u8::from(variant.exact_maps))),
     ]
 }

@@ -326,6 +326,27 @@ pub enum BlendFormat {
     Float16,
 }
 
+/// How the Jacobian of a displacement map is found at a sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum JacobianSource {
+    /// By differences between samples of the map.
+    #[default]
+    Differences,
+    /// From derivatives stored for each texel: fewer samples, four times the memory.
+    Stored,
+}
+
+/// How displacement maps are interpolated between texels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum MapFiltering {
+    /// In the shader, with weights of 24 bits.
+    Shader,
+    /// By filtering hardware, whose weights have 8 bits; the CPU rounds its weights likewise.
+    Hardware,
+}
+
 /// The `[render]` section.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -376,6 +397,12 @@ pub struct RenderSettings {
     /// The number format in which slices are blended (mode "slice").
     #[serde(skip_serializing_if = "is_default")]
     pub blend_format: BlendFormat,
+    /// How the Jacobians of displacement maps are found.
+    pub jacobian: JacobianSource,
+    /// How displacement maps are interpolated; by default in 24 bits or more, the faster way on the
+    /// device.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub map_filter: Option<MapFiltering>,
     /// Replace all deformations by one precomputed map wherever its error is at most this, mm;
     /// elsewhere, for example along tears, every deformation is evaluated. Rendering time then
     /// hardly depends on their number.
@@ -404,6 +431,8 @@ impl Default for RenderSettings {
             slab: 1,
             slice_order: SliceOrder::BackToFront,
             blend_format: BlendFormat::Float32,
+            jacobian: JacobianSource::Differences,
+            map_filter: None,
             precompose: None,
         }
     }

@@ -385,7 +385,14 @@ impl Field for SurfacePeel {
                 cut_distance_mm: inner.cut_distance_mm,
             };
         }
-        let (source, off) = self.raised(inner.source, q.z + inner.source.z - flat.z);
+        let (mut source, off) = self.raised(inner.source, q.z + inner.source.z - flat.z);
+        if inner.cut_distance_mm < 0.0 {
+            // Emptied space meets what is not changed without a jump.
+            source = q.lerp(
+                source,
+                smoothstep(0.0, 4.0 * self.peel.texel_mm(), q.z - self.lowest),
+            );
+        }
         Backward {
             source,
             cut_distance_mm: if off < 1.0 {

@@ -110,6 +110,11 @@ impl Peel {
         2.0 * (self.radius + self.depth)
     }
 
+    /// Edge of a texel, mm.
+    pub(super) fn texel_mm(&self) -> f32 {
+        self.texel
+    }
+
     /// z of the layer's upper side.
     pub(super) fn top(&self) -> f32 {
         self.floor + self.depth

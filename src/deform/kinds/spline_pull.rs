@@ -4,7 +4,9 @@
 //! Across z, the splines' support is the box. Along z the peak lies a third of the way up: the
 //! lower side is a spline whose support ends at the lower face, and the upper side has twice that
 //! support, like elastic material squeezed ahead of the pull. The product vanishes on all six
-//! faces. Along z the inverse is one monotone equation.
+//! faces. Up to a sixth of the box's height the inverse along z is one monotone equation; a larger
+//! displacement folds the lower side, as in the paper's pull of a jaw out of a head: the tissue there
+//! is shown twice.
 
 use super::{
     Backward, BoxLength, DefaultSize, Field, FieldBuilder, Formula, FormulaKind, Kind, NO_CUT_DISTANCE_MM,
@@ -18,8 +20,8 @@ pub(super) const KIND: Kind = Kind {
     parameters: &[Parameter::mm(
         "amount",
         BoxLength::OfZ(0.14),
-        [BoxLength::OfZ(-0.3), BoxLength::OfZ(0.16)],
-        "displacement at the peak",
+        [BoxLength::OfZ(-0.3), BoxLength::OfZ(0.5)],
+        "displacement at the peak; beyond a sixth of the box's height the tissue below the peak is shown twice",
     )],
     size: DefaultSize::Share([0.6; 3]),
     cube_scale: 1.0,

@@ -57,7 +57,7 @@ impl PlacedMap {
         }
         let (stored, alpha) = match line {
             Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
-            None => self.map.fetch_lanes(simd, x),
+            None => self.filter.fetch_lanes(simd, &self.map, x),
         };
         (stored.mapped(&self.world_from_stored), alpha)
     }
@@ -69,7 +69,7 @@ impl PlacedMap {
         for n in lanes_of(lanes) {
             let cylinder = self.cylinder.as_ref();
             if let Some((cylinder, (d, alpha))) =
-                cylinder.and_then(|c| Some((c, c.displacement(&self.map, x.lane(n))?)))
+                cylinder.and_then(|c| Some((c, c.displacement(&self.map, &self.filter, x.lane(n))?)))
             {
                 (moved[n], alphas[n]) = (cylinder.world_from_local * d, alpha);
             }
@@ -83,7 +83,7 @@ impl Stack {
     /// along its x axis.
     pub fn line(&self, first: Vec3, step: Vec3) -> Option<TexelLine> {
         let map = self.precomposed.as_ref().map(|s| &s.map).or(self.maps.last())?;
-        if map.cylinder.is_some() {
+        if map.cylinder.is_some() || map.filter.has_short_weights {
             return None;
         }
         let across = map.placement.map_from_world.matrix3.x_axis;
@@ -136,7 +136,7 @@ impl Stack {
             }
             let (stored, alpha) = match line.take() {
                 Some(line) => DisplacementMap::fetch_line(simd, &line.texels, x.x),
-                None => map.map.fetch_lanes(simd, x),
+                None => map.filter.fetch_lanes(simd, &map.map, x),
             };
             let direct = inside & alpha.simd_lt(MIN_MARKED_ALPHA);
             walk.alpha = direct.select(alpha, walk.alpha);
@@ -204,7 +204,7 @@ impl Stack {
         if !inside.any_true() {
             return jets;
         }
-        let ([.., alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
+        let ([.., alpha], [dx, dy, dz]) = map.filter.derivatives_lanes(simd, &map.map, x, inside);
         let marked_slope = dx[3]
             .abs()
             .max(dy[3].abs())
@@ -278,7 +278,8 @@ impl Stack {
                     source.set(n, source.lane(n) + (moved - p));
                 }
             } else if inside.any_true() {
-                let ([sx, sy, sz, alpha], [dx, dy, dz]) = map.map.derivatives_lanes(simd, x, inside);
+                let ([sx, sy, sz, alpha], [dx, dy, dz]) =
+                    map.filter.derivatives_lanes(simd, &map.map, x, inside);
                 let stored = Vec3x8 { x: sx, y: sy, z: sz }.mapped(&map.world_from_stored);
                 let d = [
                     of_displacement(dx, map),

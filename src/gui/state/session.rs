@@ -8,7 +8,6 @@
 
 use crate::files::{OutputFile, input};
 use crate::scene::Scene;
-use crate::volume::phantom::is_procedural;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

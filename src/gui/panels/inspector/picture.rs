@@ -6,7 +6,8 @@ use crate::gui::state::document::Document;
 use crate::gui::state::request::Requests;
 use crate::scene::surface::SurfaceSettings;
 use crate::scene::{
-    BlendFormat, CutFaces, Light, Mode, Normals, Projection, RenderSettings, Scene, SliceOrder,
+    BlendFormat, CutFaces, JacobianSource, Light, MapFiltering, Mode, Normals, Projection, RenderSettings,
+    Scene, SliceOrder,
 };
 use crate::volume::{GradientFilter, Volume};
 use eframe::egui::{self, DragValue, Slider, Ui};
@@ -31,6 +32,9 @@ pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut 
     }
     if has_volume && scene.render.mode == Mode::Slice {
         show_slices(ui, &mut scene.render);
+    }
+    if !scene.deformation.is_empty() {
+        show_maps(ui, &mut scene.render);
     }
     if scene.render.mode == Mode::Surface && has_volume {
         show_iso_value(ui, &mut scene.surface, volume);
@@ -96,6 +100,29 @@ fn show_slices(ui: &mut Ui, render: &mut RenderSettings) {
         &[
             (BlendFormat::Float32, "32-bit floats"),
             (BlendFormat::Float16, "16-bit floats"),
+        ],
+    );
+}
+
+/// How displacement maps are sampled.
+fn show_maps(ui: &mut Ui, render: &mut RenderSettings) {
+    choice(
+        ui,
+        "Map filter",
+        &mut render.map_filter,
+        &[
+            (None, "the device's best"),
+            (Some(MapFiltering::Shader), "24-bit weights"),
+            (Some(MapFiltering::Hardware), "8-bit weights"),
+        ],
+    );
+    choice(
+        ui,
+        "Jacobians",
+        &mut render.jacobian,
+        &[
+            (JacobianSource::Differences, "by differences"),
+            (JacobianSource::Stored, "stored per texel"),
         ],
     );
 }
