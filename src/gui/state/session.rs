@@ -427,7 +427,7 @@ mod tests {
             let scene = Scene::load(&session.bundled(name).unwrap()).unwrap();
             for file in scene.files() {
                 assert!(
-                    is_procedural(&file.to_string_lossy()) || file.exists(),
+                    crate::volume::phantom::is_procedural(&file.to_string_lossy()) || file.exists(),
                     "{name}: {}",
                     file.display()
                 );
