@@ -23,6 +23,7 @@ mod fields;
 mod filters;
 mod functions;
 mod fuzz;
+mod kinds;
 mod mapping;
 mod metrics;
 mod nifti;
@@ -142,6 +143,7 @@ fn main() {
         slices_show_whole_surfaces, nothing_is_seen_behind_the_eye,
         options_of_slices_are_bounded));
     all.extend(trials!(filters: filters_change_little));
+    all.extend(trials!(kinds: displacement_is_continuous_where_it_shows));
     all.extend(trials!(functions:
         voxels_approach_their_function, phantoms_are_their_functions, functions_are_skipped_and_sliced,
         mistakes_in_functions_are_named));
