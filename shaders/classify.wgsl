@@ -232,7 +232,7 @@ fn cylinder_displacements(k: u32, u: Box, low: vec3<f32>, high: vec3<f32>) -> Bo
     return Box(middle - size, middle + size);
 }
 
-// As affine_enclosure, for a map laid round an axis: no bound by slopes is known.
+// As affine_enclosure, for a map wrapped around an axis: no bound by slopes is known.
 fn cylinder_enclosure(k: u32, b: Box) -> AffineEnclosure {
     let range = cylinder_range(k, transformed(maps[k].map_from_world, b), 0.01);
     if is_empty(range.u) {

@@ -123,7 +123,7 @@ pub fn mistakes_in_functions_are_named() {
     for (path, part) in [
         ("function:sine(x)", "there is no \"sine\""),
         ("function:x +", "it ends where"),
-        ("function:x:size=1", "outside 2 to 1024"),
+        ("function:x:size=1", "2 to 1024 voxels"),
         ("function:x:sampling=points", "voxels or function"),
         ("phantom:octants:sampling=function", "label map"),
     ] {

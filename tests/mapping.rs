@@ -1,4 +1,4 @@
-//! Maps laid round an axis, against closed forms: whatever made the map.
+//! Maps wrapped around an axis, against closed forms: whatever made the map.
 
 use crate::fields::stack_of;
 use glam::{DAffine3, DVec3, Mat3, Vec3};
@@ -179,7 +179,7 @@ pub fn files_are_mapped_round() {
     check_shells(&stack(of_file("field", &field)), "external field", false);
 }
 
-/// Bounds on boxes hold for the points of maps laid round an axis.
+/// Bounds on boxes hold for the points of maps wrapped around an axis.
 pub fn bounds_hold_round_an_axis() {
     let mut twisted = slab("cylindrical");
     twisted.name = Some("shells".into());
@@ -263,7 +263,7 @@ pub fn more_than_half_a_turn_is_found() {
     assert!(turned > 100, "{turned} points turn far");
 }
 
-/// A map laid round an axis is saved as what it does, on a regular grid.
+/// A map wrapped around an axis is saved as what it does, on a regular grid.
 pub fn exports_keep_the_mapping() {
     let round = stack(slab("cylindrical"));
     let folder = tempfile::tempdir().unwrap();

@@ -55,7 +55,7 @@ pub fn tears_have_their_amount() {
     );
     assert_eq!(amount("-z face"), None);
     assert!(
-        notices.len() == 1 && notices[0].contains("+z face (21.8 mm)"),
+        notices.len() == 1 && notices[0].contains("+z face (by up to 21.8 mm)"),
         "{notices:?}"
     );
     // The suggested fade mends it.

@@ -94,7 +94,7 @@ struct PlacedMap {
     single: f32,
     // 1 / size of that atlas in texels.
     per_atlas: vec3<f32>,
-    // Of the cylinder that the map is laid round, mm; 0: the map fills its cube.
+    // Of the cylinder that the map is wrapped around, mm; 0: the map fills its cube.
     radius_mm: f32,
     // Edge lengths of the cube, mm.
     box_mm: vec3<f32>,

@@ -156,6 +156,12 @@ pub fn run(arguments: &BakeArguments) -> Result<()> {
         file.check()?;
     }
     let volume = &assets.volume;
+    if volume.function.is_some() && arguments.interpolation.is_some() {
+        return Err(Error::value(
+            "--interpolation",
+            "has no effect on a function, which is evaluated at every voxel; remove it, or add sampling=voxels to the volume",
+        ));
+    }
     let preparing = |share| bar.set("preparing", share);
     let deformed = Deformed::exact(&scene, &assets, true, &Watch::reporting(&preparing))?;
     let deformation = deformed.stack_and_cuts();

@@ -107,7 +107,8 @@ pub struct Common {
     /// Interior of surfaces where they are cut.
     #[arg(long, value_enum)]
     cut_model: Option<CutModelName>,
-    /// Show the volume only inside this mesh; holes are closed by its winding number.
+    /// Show the volume only inside this mesh. If it has holes, its winding number decides what is
+    /// inside.
     #[arg(long, value_name = "MESH")]
     inside: Option<PathBuf>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
@@ -160,6 +161,22 @@ fn shown(name: &str) -> String {
     path_of(name)
         .to_string_lossy()
         .replace(char::is_control, "\u{fffd}")
+}
+
+/// Checks that every option given (whether it is, its name, the setting's key) has an effect.
+///
+/// # Errors
+/// The first option that has none, and why.
+pub fn check_given<const N: usize>(given: [(bool, &str, &str); N], idle: &[IdleSetting]) -> Result<()> {
+    for (_, option, key) in given.into_iter().filter(|(given, ..)| *given) {
+        if let Some(idle) = idle.iter().find(|idle| idle.key == key) {
+            return Err(Error::value(
+                option,
+                format!("has no effect here: {}", idle.reason),
+            ));
+        }
+    }
+    Ok(())
 }
 
 impl Common {
@@ -254,15 +271,7 @@ impl Common {
             (self.cut_model.is_some(), "--cut-model", "surface.model"),
             (self.inside.is_some(), "--inside", "volume.inside"),
         ];
-        for (_, option, key) in given.into_iter().filter(|(given, ..)| *given) {
-            if let Some(idle) = idle.iter().find(|idle| idle.key == key) {
-                return Err(Error::value(
-                    option,
-                    format!("has no effect here: {}", idle.reason),
-                ));
-            }
-        }
-        Ok(())
+        check_given(given, idle)
     }
 
     /// A camera in another direction, without the zoom, target and roll of the scene's own camera.

@@ -2,7 +2,7 @@
 //! a report page.
 
 use super::arguments;
-use super::common::{Common, ModeName};
+use super::common::{Common, ModeName, check_given};
 use super::progress::TerminalProgress;
 use crate::compare::lab::{self, Plan, REFERENCE_STEP};
 use crate::compare::plot::number;
@@ -205,17 +205,6 @@ impl CompareArguments {
             plan.modes = self.modes.iter().copied().map(Mode::from).collect();
         }
         plan.options = self.options(RendererOptions::of(&plan.scene));
-        let of_slices = [
-            ("--slabs", self.slabs.is_empty()),
-            ("--slice-orders", self.slice_orders.is_empty()),
-            ("--blend-formats", self.blend_formats.is_empty()),
-        ];
-        if let Some((option, _)) = of_slices
-            .iter()
-            .find(|(_, absent)| !absent && !plan.modes.contains(&Mode::Slice))
-        {
-            return Err(Error::value(*option, "acts on slices; add slice to --modes"));
-        }
         if !self.steps.is_empty() {
             plan.steps = once(&self.steps);
         }
@@ -234,6 +223,27 @@ impl CompareArguments {
         plan.on_cpu = self.backend != CompareBackends::Gpu;
         plan.gpu_is_required = self.backend == CompareBackends::Gpu;
         Ok(plan)
+    }
+
+    /// Checks that every option given has an effect in one of the modes.
+    fn check_effects(&self, idle: &[IdleSetting]) -> Result<()> {
+        self.common.check_effects(idle)?;
+        let given = [
+            (!self.slabs.is_empty(), "--slabs", "render.slab"),
+            (
+                !self.slice_orders.is_empty(),
+                "--slice-orders",
+                "render.slice_order",
+            ),
+            (
+                !self.blend_formats.is_empty(),
+                "--blend-formats",
+                "render.blend_format",
+            ),
+            (!self.jacobians.is_empty(), "--jacobians", "render.jacobian"),
+            (!self.map_filters.is_empty(), "--map-filters", "render.map_filter"),
+        ];
+        check_given(given, idle)
     }
 
     /// Every combination of the options; those not given are the scene's.
@@ -352,7 +362,7 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
         .file_name()
         .unwrap_or(common.input.as_os_str())
         .to_string_lossy();
-    common.check_effects(&idle_everywhere(&plan, &assets)?)?;
+    arguments.check_effects(&idle_everywhere(&plan, &assets)?)?;
     let report = lab::run(&plan, &assets, gpu, &title, &|what, share| bar.set(what, share))?;
     bar.finish();
     common.report(assets.library.notices());

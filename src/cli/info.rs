@@ -247,8 +247,8 @@ pub fn catalogue() -> String {
         out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
     }
     out.push_str(
-        "\nDeformations (--deform KIND:name=value,...); every kind accepts storage, resolution, add, spare,\n\
-         labels, mapping and fade; every kind except field and map also center, size, rotate (no size where noted)\n",
+        "\nDeformations (--deform KIND:name=value,...); every kind accepts center, size (not where\n\
+         noted), rotate, storage, add, spare, labels, mapping and fade; every kind except map also resolution\n",
     );
     for k in kinds::list() {
         out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, notes(k)));
@@ -269,7 +269,7 @@ pub fn catalogue() -> String {
     }
     for k in FILE_KINDS {
         out.push_str(&format!("  {:<22} {}\n", k.name, k.about));
-        for s in k.settings {
+        for s in k.own_settings {
             out.push_str(&format!("    {:<20} {}\n", s.name, s.about));
         }
     }
@@ -286,7 +286,7 @@ pub fn catalogue() -> String {
         out.push_str(&format!("  {name:<22} {about}\n"));
     }
     out.push_str(
-        "\nFunctions of x, y and z in mm, as volumes over 160 mm (function:EXPRESSION[:size=N][:spacing=AxBxC]):\n\
+        "\nFunctions of x, y and z in mm, as volumes in a 160 mm cube (function:EXPRESSION[:size=N][:spacing=AxBxC]):\n\
          arithmetic, ^, <, >, numbers, pi and\n",
     );
     for (name, parameters, about) in FUNCTIONS {

@@ -152,8 +152,8 @@ pub fn run(arguments: &MapArguments) -> Result<()> {
     output.finish(&bytes)
 }
 
-/// Notice for a map laid round an axis.
-const ROUND_AN_AXIS: &str = "the file states no mapping: the map round its axis is resampled onto a regular grid; to keep its texels, save it without mapping and use it with mapping=cylindrical";
+/// Notice for a map wrapped around an axis.
+const ROUND_AN_AXIS: &str = "a saved map cannot store a cylindrical mapping, so the map is resampled onto a Cartesian grid; to keep its texels, save it without mapping and set mapping=cylindrical where you use it";
 
 /// The map of the deformation `what`, a kind with its parameters. Fails if `path`, the output, is
 /// one of the input files.

@@ -226,7 +226,7 @@ fn report(
         .stack
         .maps()
         .iter()
-        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.map.stored_bytes(), "health": CheckedField::of_map(m).health(false) }))
+        .map(|m| json!({ "size": m.map.size, "storage": m.map.storage, "bytes": m.stored_bytes(), "health": CheckedField::of_map(m).health(false) }))
         .collect();
     let composition = prepared.composition.map(|c| {
         json!({ "bound_mm": c.bound_mm, "maps": c.maps, "composed": c.composed, "worst_mm": c.worst_mm, "p99_mm": c.p99_mm, "share_by_maps": c.fallback_share })

@@ -390,7 +390,7 @@ mod tests {
         assert!(
             runs.lines().count() == 3
                 && runs
-                    .contains("\n\"ray, 1/2\",slice,cpu,0.5,4,3,anterior,12.5,12,14,10,9,11,3,,1234567,2,3,64,0,0,0,,,,,,,false,ray--1-2.png,2,10\n"),
+                    .contains("\n\"ray, 1/2\",slice,cpu,,0.5,4,3,anterior,12.5,12,14,10,9,11,3,,1234567,2,3,64,0,0,0,,,,,,,false,ray--1-2.png,2,10\n"),
             "{runs}"
         );
         assert!(

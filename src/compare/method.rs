@@ -123,8 +123,8 @@ impl Method {
                 (Mode::Surface, ..) => "the nearest surface is shown",
                 (_, _, false) => "any: maximum, minimum or mean",
                 (Mode::Raycast, ..) => "front to back, in registers",
-                (Mode::Slice, SliceOrder::BackToFront, _) => "back to front, by the blend unit",
-                (Mode::Slice, SliceOrder::FrontToBack, _) => "front to back, by the blend unit",
+                (Mode::Slice, SliceOrder::BackToFront, _) => "back to front, blended polygon by polygon",
+                (Mode::Slice, SliceOrder::FrontToBack, _) => "front to back, blended polygon by polygon",
             },
             slab: is_slice.then(|| prepared.slices_per_slab()),
             blend_format: if is_slice && composite && settings.blend_format == BlendFormat::Float16 {
@@ -148,10 +148,10 @@ impl Method {
             map_filter: match settings.map_filter {
                 Some(MapFiltering::Shader) => "in the shader, 24-bit weights or more",
                 Some(MapFiltering::Hardware) => "by the hardware, 8-bit weights",
-                None => "as volumes",
+                None => "same as for voxels",
             },
             jacobian: match settings.jacobian {
-                JacobianSource::Differences => "by differences",
+                JacobianSource::Differences => "central differences",
                 JacobianSource::Stored => "stored for each texel",
             },
             variant: RendererOptions::of(scene).label(settings.mode),

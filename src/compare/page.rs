@@ -146,7 +146,7 @@ impl Report {
             .collect();
         format!(
             "<h2>Methods</h2>\n<div class=\"wide\"><table>\n<tr><th>Renderer</th><th>Samples</th><th>Composition</th><th>Slab</th>\
-             <th>Blended in</th><th>Filter</th><th>Filter of maps</th><th>Jacobians</th><th>Shading</th><th>Early stop</th></tr>\n{rows}</table></div>\n<p>{}</p>\n",
+             <th>Blend format</th><th>Voxel filter</th><th>Map filter</th><th>Jacobians</th><th>Shading</th><th>Early termination</th></tr>\n{rows}</table></div>\n<p>{}</p>\n",
             reasons.trim_end()
         )
     }

@@ -150,13 +150,13 @@ impl Plan {
         if let Some(n) = repeated {
             return Err(Error::value(
                 format!("--modes {}", mode_name(self.modes[n])),
-                "is named twice; a mode is not compared with itself",
+                "is listed twice; remove one",
             ));
         }
         if (1..self.options.len()).any(|n| self.options[..n].contains(&self.options[n])) {
             return Err(Error::value(
                 "--slabs, --slice-orders, --blend-formats, --jacobians, --map-filters",
-                "name the same renderer twice; it is not compared with itself",
+                "list the same renderer twice; remove the repeated value",
             ));
         }
         Ok(())

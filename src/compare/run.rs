@@ -67,7 +67,7 @@ impl Memory {
         Self {
             volume_bytes: if has_volume { (volume + colors) as u64 } else { 0 },
             gradient_bytes: scene.gradients().map_or(0, |g| size_of_val(&*g.texels) as u64),
-            map_bytes: scene.stack.all_maps().map(|m| m.map.stored_bytes() as u64).sum(),
+            map_bytes: scene.stack.all_maps().map(|m| m.stored_bytes() as u64).sum(),
             surface_bytes: scene
                 .surfaces
                 .objects

@@ -131,7 +131,7 @@ impl PlacedMap {
         !around.is_empty() && self.map.bounds(around.min, around.max).min[3] < 1.0
     }
 
-    /// A bound on |J_G| over a box of the unit cube, for a map laid round an axis; at least 1.
+    /// A bound on |J_G| over a box of the unit cube, for a map wrapped around an axis; at least 1.
     pub(super) fn cylinder_slope_bound(&self, b: &Bounds) -> f32 {
         let Some(cylinder) = &self.cylinder else {
             return 1.0;

@@ -1,6 +1,6 @@
 //! Deformations that come from a file rather than from a formula, with the settings of each.
 
-use super::kinds::{Setting, SettingFormat};
+use super::kinds::{COMMON_SETTINGS, Setting, SettingFormat};
 
 /// Deformations that come from a file rather than from a formula.
 pub struct FileKind {
@@ -8,8 +8,15 @@ pub struct FileKind {
     pub name: &'static str,
     /// One line for lists.
     pub about: &'static str,
-    /// Names and meanings of the settings.
-    pub settings: &'static [Setting],
+    /// Its own settings.
+    pub own_settings: &'static [Setting],
+}
+
+impl FileKind {
+    /// All settings: its own and those common to every kind.
+    pub fn settings(&self) -> impl Iterator<Item = &'static Setting> {
+        self.own_settings.iter().chain(COMMON_SETTINGS)
+    }
 }
 
 /// The deformations from files.
@@ -17,7 +24,7 @@ pub const FILE_KINDS: &[FileKind] = &[
     FileKind {
         name: "field",
         about: "a registration transform or displacement field; progress=0..1",
-        settings: &[
+        own_settings: &[
             Setting {
                 name: "path",
                 form: SettingFormat::Files,
@@ -43,57 +50,15 @@ pub const FILE_KINDS: &[FileKind] = &[
                 form: SettingFormat::Flag,
                 about: "true uses the inverse",
             },
-            Setting {
-                name: "mapping",
-                form: SettingFormat::Choice(&["none", "cylindrical"]),
-                about: "none, or cylindrical: x runs around the box's z axis, y along it, z outwards",
-            },
-            Setting {
-                name: "fade",
-                form: SettingFormat::Number,
-                about: "width over which the displacement fades towards the faces of the box, mm; 0 by default",
-            },
-            Setting {
-                name: "spare",
-                form: SettingFormat::Whole,
-                about: "labels to protect from cutting and moving",
-            },
-            Setting {
-                name: "labels",
-                form: SettingFormat::File,
-                about: "file of the label map; by default the volume itself",
-            },
         ],
     },
     FileKind {
         name: "map",
         about: "a displacement map made by incise map; center, size or rotate override its placement",
-        settings: &[
-            Setting {
-                name: "path",
-                form: SettingFormat::File,
-                about: "file",
-            },
-            Setting {
-                name: "mapping",
-                form: SettingFormat::Choice(&["none", "cylindrical"]),
-                about: "none, or cylindrical: x runs around the box's z axis, y along it, z outwards",
-            },
-            Setting {
-                name: "fade",
-                form: SettingFormat::Number,
-                about: "width over which the displacement fades towards the faces of the box, mm; 0 by default",
-            },
-            Setting {
-                name: "spare",
-                form: SettingFormat::Whole,
-                about: "labels to protect from cutting and moving",
-            },
-            Setting {
-                name: "labels",
-                form: SettingFormat::File,
-                about: "file of the label map; by default the volume itself",
-            },
-        ],
+        own_settings: &[Setting {
+            name: "path",
+            form: SettingFormat::File,
+            about: "file",
+        }],
     },
 ];

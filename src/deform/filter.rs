@@ -7,7 +7,7 @@
 //! they differ by less than the second difference. Differences need six samples, stored slopes
 //! three.
 
-use super::{DisplacementMap, Storage, TexelSample};
+use super::{DisplacementMap, Storage};
 use crate::math::cells::Vec4x8;
 use crate::math::lanes::*;
 use glam::{Mat3, Vec3, Vec4, Vec4Swizzles};
@@ -38,7 +38,7 @@ impl PartialEq for MapFilter {
 /// is the first one.
 fn stored_slopes(map: &DisplacementMap, wraps: bool) -> DisplacementMap {
     let [nx, ny, nz] = map.size;
-    let samples = (0..nx * ny * nz * 3)
+    let slopes: Vec<Vec4> = (0..nx * ny * nz * 3)
         .into_par_iter()
         .map(|n| {
             let (axis, at) = (n / (nx * ny * nz), n % (nx * ny * nz));
@@ -48,10 +48,7 @@ fn stored_slopes(map: &DisplacementMap, wraps: bool) -> DisplacementMap {
             } else {
                 map.derivatives(x)
             };
-            TexelSample {
-                displacement: columns.col(axis),
-                alpha: slope[axis],
-            }
+            columns.col(axis).extend(slope[axis])
         })
         .collect();
     // The gradient of the mask exceeds the range of normalised integers.
@@ -59,15 +56,26 @@ fn stored_slopes(map: &DisplacementMap, wraps: bool) -> DisplacementMap {
         Storage::F16 => Storage::F16,
         _ => Storage::F32,
     };
-    DisplacementMap::from_samples([nx, ny, 3 * nz], storage, samples)
+    DisplacementMap::from_values([nx, ny, 3 * nz], storage, slopes, &[])
 }
 
 impl DisplacementMap {
+    /// Whether slopes for each texel are made.
+    pub(super) fn has_slopes(&self) -> bool {
+        self.slopes.iter().any(|slopes| slopes.get().is_some())
+    }
+
     /// J_D and the mask's gradient for each texel, made on first use.
     pub(super) fn slopes(&self, wraps: bool) -> Arc<Self> {
-        self.slopes[usize::from(wraps)]
-            .get_or_init(|| Arc::new(stored_slopes(self, wraps)))
-            .clone()
+        let made = &self.slopes[usize::from(wraps)];
+        if let Some(slopes) = made.get() {
+            return slopes.clone();
+        }
+        // Outside the lock, as the texels themselves, which are needed first: parallel work may run
+        // another task on this thread that needs the same slopes.
+        self.fetch_texels();
+        let slopes = Arc::new(stored_slopes(self, wraps));
+        made.get_or_init(|| slopes).clone()
     }
 }
 
@@ -141,9 +149,11 @@ impl MapFilter {
         };
         // Per stored unit of D, as differences of what is stored.
         let scale = slopes.scale / map.scale;
+        // Beyond the cube, where a map may reach, the outermost texels of the same block.
+        let z = x.z.max(0.0).min(1.0);
         let along = |axis: usize| {
             let at = Vec3x8 {
-                z: in_block(slopes, axis, x.z),
+                z: in_block(slopes, axis, z),
                 ..x
             };
             let (d, alpha) = slopes.fetch_lanes(simd, at);
@@ -205,6 +215,7 @@ fn wrapped_derivatives(map: &DisplacementMap, u: Vec3, fetch: impl Fn(Vec3) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::deform::TexelSample;
 
     /// A smooth map with a mask.
     fn map(storage: Storage) -> DisplacementMap {

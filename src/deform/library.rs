@@ -314,7 +314,10 @@ impl Library {
         let made = make()?;
         let mut cached = lock(&self.maps);
         cached.push((key, made.clone()));
-        let bytes = |map: &DisplacementMap| map.size.iter().product::<usize>() * 16;
+        // Four numbers for each texel, and three times as many for its slopes.
+        let bytes = |map: &DisplacementMap| {
+            map.size.iter().product::<usize>() * if map.has_slopes() { 64 } else { 16 }
+        };
         let mut all: usize = cached.iter().map(|(_, map)| bytes(map)).sum();
         while cached.len() > 1 && (all > MAX_CACHED_MAP_BYTES || cached.len() > MAX_CACHED_MAPS) {
             all -= bytes(&cached.remove(0).1);

@@ -192,11 +192,26 @@ impl DisplacementMap {
         samples: Vec<TexelSample>,
         marked: &[bool],
     ) -> Self {
+        Self::from_values(
+            size,
+            storage,
+            samples.into_par_iter().map(finite).collect(),
+            marked,
+        )
+    }
+
+    /// A map of values of any range: displacements and, as the fourth component, what is stored in
+    /// place of the mask.
+    pub(super) fn from_values(
+        size: [usize; 3],
+        storage: Storage,
+        samples: Vec<Vec4>,
+        marked: &[bool],
+    ) -> Self {
         assert!(
             size.iter().all(|&n| n >= 1) && samples.len() == size.iter().product::<usize>(),
             "sample count and size disagree"
         );
-        let samples: Vec<Vec4> = samples.into_par_iter().map(finite).collect();
         let largest = samples
             .par_iter()
             .map(|s| s.xyz().abs().max_element())
@@ -344,9 +359,11 @@ impl DisplacementMap {
         })
     }
 
-    /// A number that maps with other texels or another scale have, too, only by chance.
+    /// A number that maps of another size, with other texels or another scale have, too, only by
+    /// chance.
     pub fn digest(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
+        self.size.hash(&mut hasher);
         self.scale.to_bits().hash(&mut hasher);
         for texel in self.texels() {
             texel.to_array().map(f32::to_bits).hash(&mut hasher);

@@ -1,4 +1,4 @@
-//! Cylindrical coordinate mapping (\[DS07\] section 3.2): a map is laid round the z axis of its box.
+//! Cylindrical coordinate mapping (\[DS07\] section 3.2): a map is wrapped around the z axis of its box.
 //!
 //! *Theory* ([`crate::model`], "Displacement maps"): with x' = M⁻¹ p', the point is looked up at
 //! u = C(x') = (fract(θ / 2π), height, r / ρ) and comes from C⁻¹(u + D(u)). θ = atan2(x, y) about the

@@ -54,7 +54,7 @@ pub fn read(path: &Path, storage: Storage, strength: f32) -> Result<PlacedMap> {
     Ok(PlacedMap::new(Arc::new(map), placement))
 }
 
-/// A map as the bytes of its file; one laid round an axis on a regular grid.
+/// A map as the bytes of its file; one wrapped around an axis on a regular grid.
 ///
 /// # Errors
 /// Errors of the encoder.

@@ -38,7 +38,7 @@ pub struct PlacedMap {
     /// How far the outermost texels extend beyond the cube's faces, map units: half a voxel for a
     /// registration's field, whose outermost vectors apply to the whole of their voxels.
     pub reach: Vec3,
-    /// The coordinate mapping that lays the map round an axis, if there is one.
+    /// The coordinate mapping that wraps the map around an axis, if there is one.
     pub cylinder: Option<Cylinder>,
     /// `world_from_map`'s linear part times the map's scale: from stored displacement to mm.
     pub(super) world_from_stored: Mat3,
@@ -136,7 +136,7 @@ impl PlacedMap {
         }
     }
 
-    /// The same map laid round the z axis of its box.
+    /// The same map wrapped around the z axis of its box.
     pub fn mapped_cylindrically(mut self) -> Self {
         self.reach = Vec3::ZERO;
         self.cylinder = Some(Cylinder::new(&self.placement, self.map.size[2]));
@@ -153,7 +153,7 @@ impl PlacedMap {
         self
     }
 
-    /// A map laid round an axis, resampled onto a regular grid of its box, for files that state no
+    /// A map wrapped around an axis, resampled onto a regular grid of its box, for files that state no
     /// mapping; any other map as it is.
     pub fn on_regular_grid(&self) -> Self {
         let Some(cylinder) = &self.cylinder else {
@@ -175,10 +175,15 @@ impl PlacedMap {
             }
         });
         Self {
-            map: Arc::new(map),
-            cylinder: None,
-            ..self.clone()
+            added: self.added,
+            reach: self.reach,
+            ..Self::new(Arc::new(map), self.placement)
         }
+    }
+
+    /// Size of its texels, with stored slopes if it has them.
+    pub fn stored_bytes(&self) -> usize {
+        self.map.stored_bytes() + self.filter.slopes.as_ref().map_or(0, |s| s.stored_bytes())
     }
 
     /// One step of the walk: the point before this map was applied, and the mask.

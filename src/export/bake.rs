@@ -143,7 +143,7 @@ impl SimdKernel for Whole<'_> {
     }
 }
 
-/// Interpolates the stored values of a volume; the outermost voxels extend half a voxel outwards.
+/// Interpolates the stored values of a volume, or evaluates its function; the outermost voxels extend half a voxel outwards.
 struct StoredInterpolator<'a> {
     volume: &'a Volume,
     interpolation: Interpolation,
@@ -163,6 +163,11 @@ impl StoredInterpolator<'_> {
         let size = DVec3::from_array(self.volume.size.map(|n| n as f64));
         if p.cmplt(DVec3::splat(-0.5)).any() || p.cmpgt(size - 0.5).any() {
             return None;
+        }
+        if let Some(function) = &self.volume.function {
+            let value = function.value(self.volume.world_from_voxel.transform_point3(p).as_vec3());
+            let Rescale { slope, intercept } = self.volume.rescale;
+            return Some((f64::from(value) - intercept) / slope);
         }
         let base = p.floor();
         let (c, f) = ([base.x as i64, base.y as i64, base.z as i64], p - base);
@@ -201,7 +206,8 @@ impl StoredInterpolator<'_> {
         whole: bool,
     ) -> Option<Vec<f32>> {
         let size = self.volume.size;
-        if self.interpolation != Interpolation::Linear || size.iter().any(|&n| n < 2) {
+        let is_linear = self.interpolation == Interpolation::Linear && self.volume.function.is_none();
+        if !is_linear || size.iter().any(|&n| n < 2) {
             return None;
         }
         let rows = BakeRows {

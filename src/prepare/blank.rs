@@ -155,12 +155,7 @@ impl Prepared<'_> {
             let value = |source: Vec3| -> Option<f32> {
                 let v = self.volume().voxel_from_world.transform_point3(source);
                 let inside = v.cmpge(voxel_box.min).all() && v.cmple(voxel_box.max).all();
-                let [i, j, k] = v
-                    .round()
-                    .clamp(Vec3::ZERO, self.volume().grid_size - 1.0)
-                    .to_array()
-                    .map(|c| c as usize);
-                inside.then(|| self.volume().grid.value(i, j, k))
+                inside.then(|| self.volume().grid.value_near(v))
             };
             let shows = |v: f32| match self.volume().iso {
                 Some(iso) => v >= iso,

@@ -26,11 +26,11 @@ impl IdleSetting {
     }
 }
 
-const NO_VOLUME: &str = "it acts on volumes (mode slice or raycast)";
+const NO_VOLUME: &str = "it applies only to volumes (mode slice or raycast)";
 const NO_SURFACE: &str = "no surface is shown";
 const NO_RAYS: &str = "no surface is shown by rays through a distance field";
-const NOT_SLICES: &str = "it acts in mode slice";
-const PROJECTION: &str = "a projection (MIP, MinIP, average) is not shaded";
+const NOT_SLICES: &str = "it applies only in mode slice";
+const PROJECTION: &str = "MIP, MinIP and average are neither shaded nor composited";
 
 /// Every setting that has no effect on a picture, whatever its value.
 pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
@@ -120,7 +120,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
     unless(
         prepared.stack.maps().len() > 1,
         &["render.precompose"],
-        "it acts on two deformations or more",
+        "it combines displacement maps, and the scene has fewer than two",
     );
     unless(
         scene
@@ -128,12 +128,12 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             .iter()
             .any(|d| d.enabled && kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some())),
         &["render.exact_cuts"],
-        "the scene has no removal",
+        "the scene has no cut by a simple shape",
     );
     unless(
         prepared.frame.view.projection == Projection::Perspective,
         &["camera.field_of_view"],
-        "it acts in perspective",
+        "it applies only to a perspective view",
     );
     let differentiates =
         volume && prepared.is_lit() && matches!(settings.normals, Normals::Transformed | Normals::Blended)
@@ -146,7 +146,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             .any(|map| map.map.has_displacement() || map.map.has_cuts())
             && differentiates,
         &["render.jacobian"],
-        "no normal is taken through a displacement map",
+        "no normal is transformed by a displacement map",
     );
     unless(
         !prepared.stack.is_empty(),
@@ -169,7 +169,7 @@ fn volume_settings(
         unless(
             settings.mode != Mode::Slice || prepared.slice_order() == SliceOrder::FrontToBack,
             &["render.early_termination"],
-            "slices from back to front have no early end",
+            "slices drawn back to front cannot terminate early",
         );
         unless(
             prepared.is_lit() || prepared.uses_gradient_opacity(),
@@ -189,7 +189,7 @@ fn volume_settings(
         unless(
             is_iso,
             &["render.iso_light"],
-            "it acts on the iso-surface of render.iso",
+            "it applies only to the iso-surface of render.iso",
         );
         unless(
             !is_iso,
@@ -241,7 +241,7 @@ fn surface_settings(
     unless(
         rays && prepared.surfaces.steps == Steps::Threshold,
         &["surface.threshold"],
-        "it acts with steps = \"threshold\"",
+        "it applies only with steps = \"threshold\"",
     );
     unless(
         prepared.sliced_surfaces().next().is_none(),
@@ -261,7 +261,7 @@ fn surface_settings(
     unless(
         in_two_stages || !rays && surfaces,
         &["surface.two_stage"],
-        "it needs a mesh from a file, neither thick nor a depth map, that a deformation reaches",
+        "it needs a mesh file (not thick, not a depth map) that overlaps the box of a deformation",
     );
     unless(
         in_two_stages,
@@ -269,11 +269,9 @@ fn surface_settings(
         "nothing is rendered in two stages (surface.two_stage)",
     );
     unless(
-        prepared.settings.mode == Mode::Surface
-            && scene.volume.is_some()
-            && scene.mesh.iter().all(|m| m.hidden),
+        prepared.settings.mode == Mode::Surface && scene.volume.is_some(),
         &["surface.iso"],
-        "it acts in mode surface on a volume without other surfaces",
+        "it applies only in mode surface, to a scene with a volume",
     );
 }
 
@@ -303,7 +301,7 @@ fn changed(scene: &Scene) -> Vec<String> {
 }
 
 /// The settings that a scene states and that have no effect on its picture.
-pub(super) fn stated_in_vain(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
+pub(super) fn ineffective_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
     let changed = changed(scene);
     let mut found: Vec<IdleSetting> = Vec::new();
     for idle in idle_settings(prepared, scene) {

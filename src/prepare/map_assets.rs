@@ -1,8 +1,9 @@
 //! What can be done with every map alike, whatever made it: a formula, a painted map, a saved map, a
 //! field from a file, an inverse. Placement and progress are applied where a map is made; here it is
-//! laid round an axis, faded towards the faces of its box, and kept from spared labels.
+//! wrapped around an axis, faded towards the faces of its box, and kept from spared labels.
 
 use super::stack_inputs::StackInputs;
+use crate::deform::kinds;
 use crate::deform::mapping::Cylinder;
 use crate::deform::{DisplacementMap, PlacedMap, TexelSample};
 use crate::math::{DistanceGrid, smoothstep};
@@ -14,9 +15,37 @@ use std::sync::Arc;
 /// Settings of every deformation, handled here for maps from files.
 const MAPPINGS: [&str; 2] = ["none", "cylindrical"];
 
-/// Whether a deformation's map is laid round an axis.
+/// Whether a deformation's map is wrapped around an axis.
 pub(super) fn is_cylindrical(deformation: &Deformation) -> Result<bool> {
     Ok(deformation.parameters.choice("mapping", &MAPPINGS)? == "cylindrical")
+}
+
+/// Checks that the settings of every deformation act on this one.
+pub(super) fn check_modifiers(deformation: &Deformation) -> Result<()> {
+    let settings = &deformation.parameters;
+    let kind = kinds::kind(&deformation.kind).ok();
+    let refuse = |name: &str, problem: &str| {
+        let name = format!("{}: {name}", deformation.kind);
+        Err(Error::value(name, problem))
+    };
+    let has_own_labels = kind.is_some_and(|k| k.own_settings().iter().any(|s| s.name == "label"));
+    if settings.0.contains_key("labels") && !settings.0.contains_key("spare") && !has_own_labels {
+        return refuse(
+            "labels",
+            "is the file of the labels that spare names; add spare, or remove labels",
+        );
+    }
+    let fades = settings
+        .number("fade")
+        .is_ok_and(|mm| mm.is_some_and(|mm| mm > 0.0));
+    let has_own_fade = kind.is_some_and(|k| k.parameters.iter().any(|p| p.name == "fade"));
+    if fades && !has_own_fade && kind.is_some_and(|k| k.shape.is_some()) {
+        return refuse(
+            "fade",
+            "reduces a displacement, and a cut displaces nothing; remove it",
+        );
+    }
+    Ok(())
 }
 
 /// A map from a file with the deformation's mapping, fade and spared labels. Fading and sparing
@@ -30,6 +59,12 @@ pub(super) fn finished(map: PlacedMap, deformation: &Deformation, inputs: &Stack
     };
     let fade_mm = fade_mm(deformation, placed.placement.size_mm())?;
     let spared = spared(deformation, inputs)?;
+    if fade_mm > 0.0 && !placed.map.has_displacement() {
+        return Err(Error::value(
+            "fade",
+            "reduces a displacement, and the map displaces nothing; remove it",
+        ));
+    }
     if fade_mm > 0.0 || spared.is_some() {
         // Maps from files are read anew: known by what they hold.
         let key = format!(
@@ -66,7 +101,7 @@ fn fade_mm(deformation: &Deformation, box_mm: Vec3) -> Result<f32> {
     if (0.0..=most).contains(&fade_mm) {
         Ok(fade_mm)
     } else {
-        let problem = format!("{fade_mm} is outside 0 to {most} mm, half the box");
+        let problem = format!("{fade_mm} is outside 0 to {most} mm (half the longest edge of the box)");
         Err(Error::value("fade", problem))
     }
 }

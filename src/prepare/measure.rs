@@ -37,7 +37,7 @@ impl Measure {
     /// The value of the volume at the nearest voxel; none outside it.
     fn probed(&self, volume: &Volume) -> Option<f64> {
         let p = Vec3::from(*self.points.first()?).as_dvec3();
-        nearest_value(volume, p)
+        value_at(volume, p)
     }
 
     /// The quantities of a measurement: in the patient, and in the deformed scene where that
@@ -84,12 +84,15 @@ impl Measure {
     }
 }
 
-/// The value of the voxel nearest to a world point, data units.
-pub fn nearest_value(volume: &Volume, world: DVec3) -> Option<f64> {
+/// The value at a world point, data units: the function's, or that of the nearest voxel.
+pub fn value_at(volume: &Volume, world: DVec3) -> Option<f64> {
     let v = volume.world_from_voxel.inverse().transform_point3(world).round();
     let inside =
         v.is_finite() && v.cmpge(DVec3::ZERO).all() && (0..3).all(|a| (v[a] as usize) < volume.size[a]);
-    inside.then(|| volume.value(v.x as usize, v.y as usize, v.z as usize))
+    inside.then(|| match &volume.function {
+        Some(function) => f64::from(function.value(world.as_vec3())),
+        None => volume.value(v.x as usize, v.y as usize, v.z as usize),
+    })
 }
 
 /// Volume and surface of a label in the patient, and its volume in the deformed scene.
@@ -132,8 +135,7 @@ fn label_quantities(labels: &Volume, label: u32, deformed: &Deformed) -> Result<
                     for i in 0..n.x {
                         let p = bounds.min + (glam::UVec3::new(i, j, k).as_vec3() + 0.5) * step;
                         let source = deformation.source(p);
-                        if source.and_then(|s| nearest_value(labels, s.as_dvec3())) == Some(f64::from(label))
-                        {
+                        if source.and_then(|s| value_at(labels, s.as_dvec3())) == Some(f64::from(label)) {
                             seen += 1;
                         }
                     }

@@ -298,6 +298,12 @@ impl ObjectCache {
         if let Some(path) = &source.volume {
             library.note_distance("the volume", &library.path(path), &volume);
         }
+        if source.iso.is_some() && volume.function.is_some() {
+            library.notice(format!(
+                "{}: the surface of a value follows the volume's voxels, not its function; more voxels (size=N) make it finer",
+                source.label(0)
+            ));
+        }
         let grid = match source.iso {
             Some(iso) => match of_iso_value(&volume, iso) {
                 Some(grid) => Ok(grid),

@@ -3,7 +3,7 @@
 use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
-use super::idle::{IdleSetting, stated_in_vain};
+use super::idle::{IdleSetting, ineffective_settings};
 use super::prepared::{Frame, Prepared};
 use super::spacing::{SampleSpacing, blend_mm};
 use super::tears;
@@ -69,20 +69,26 @@ impl<'a> Prepared<'a> {
             VolumeObject::new(classifier, scene, assets, &deformed, &spacing, options)
         })?;
         let tears = stages.time("tears", || {
-            let is_matter = |source: Vec3| {
+            let is_visible_source = |source: Vec3| {
                 volume.shows(source) || surfaces.objects.iter().any(|o| !o.rigid && o.contains(source))
             };
             let can_fade = |name: &str| {
                 let of_name = |d: &&Deformation| d.name.as_deref().unwrap_or(&d.kind) == name;
+                // A chain of transforms becomes several maps, which have no common faces.
+                let is_chain = |d: &Deformation| {
+                    d.kind == "field" && deformed.names.iter().filter(|n| *n == name).count() > 1
+                };
                 scene.deformation.iter().find(of_name).is_some_and(|d| {
-                    kinds::kind(&d.kind).map_or(true, |kind| kind.parameters.iter().all(|p| p.name != "fade"))
+                    kinds::kind(&d.kind).map_or(!is_chain(d), |kind| {
+                        kind.parameters.iter().all(|p| p.name != "fade")
+                    })
                 })
             };
             tears::tears(
                 &deformed,
                 &scene_box,
                 TEAR_TOLERANCE * reference_mm,
-                is_matter,
+                is_visible_source,
                 can_fade,
             )
         });
@@ -121,7 +127,7 @@ impl<'a> Prepared<'a> {
             tears,
             stages,
         };
-        let idle = stated_in_vain(&prepared, scene);
+        let idle = ineffective_settings(&prepared, scene);
         prepared.notices.extend(idle.iter().map(IdleSetting::notice));
         Ok(prepared)
     }

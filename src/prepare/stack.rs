@@ -1,6 +1,6 @@
 //! A scene's deformations as a stack of maps.
 
-use super::map_assets::{finished, is_cylindrical};
+use super::map_assets::{check_modifiers, finished, is_cylindrical};
 use super::stack_inputs::{INSIDE, StackInputs};
 use crate::deform::compose::{self, PrecomposeError};
 use crate::deform::cut::{CutShape, CutShapes, MAX_CUTS};
@@ -73,6 +73,7 @@ pub fn stack(
     more: Vec<PlacedMap>,
 ) -> Result<NamedStack> {
     let enabled: Vec<&Deformation> = deformations.iter().filter(|d| d.enabled).collect();
+    enabled.iter().try_for_each(|d| check_modifiers(d))?;
     let mut first_cut = enabled.len();
     if inputs.exact_cuts && more.is_empty() {
         while first_cut > 0 && enabled.len() - first_cut < MAX_CUTS && is_exact(enabled[first_cut - 1]) {
@@ -128,9 +129,9 @@ fn is_exact(deformation: &Deformation) -> bool {
     kinds::kind(&deformation.kind).is_ok_and(|k| k.shape.is_some())
         && !deformation.add
         && deformation.matrix.is_none()
-        && !["spare", "mapping", "fade"]
-            .iter()
-            .any(|n| deformation.parameters.0.contains_key(*n))
+        && !deformation.parameters.0.contains_key("spare")
+        && matches!(is_cylindrical(deformation), Ok(false))
+        && matches!(deformation.parameters.number("fade"), Ok(None | Some(0.0)))
 }
 
 /// Removals as shapes, with the members of each group consecutive.
@@ -286,7 +287,7 @@ fn place(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<PlacedMa
         if placed.len() > 1 {
             return Err(named(Error::value(
                 "add",
-                "a chain of transforms cannot be added; bake it into one field first",
+                "a chain of transforms cannot be added; merge it into one field first (incise bake --field)",
             )));
         }
         placed.iter_mut().for_each(|m| m.added = true);
@@ -305,7 +306,7 @@ fn finish_all(
     match (stated, placed.len()) {
         (Some(name), 2..) => Err(Error::value(
             *name,
-            "a chain of transforms is several maps; bake it into one field first",
+            "a chain of transforms becomes several maps; merge it into one field first (incise bake --field)",
         )),
         _ => placed
             .into_iter()
@@ -382,7 +383,7 @@ fn place_kind(deformation: &Deformation, inputs: &StackInputs) -> Result<PlacedM
     let storage = inputs.storage.or(deformation.storage).unwrap_or_default();
     let cube = placement.scaled(Vec3::splat(kind.cube_scale))?;
     let cylindrical = is_cylindrical(deformation)?;
-    // Laid round an axis, the map's lengths across its cuts become shorter.
+    // Wrapped around an axis, the map's lengths across its cuts become shorter.
     let shrinks = if cylindrical {
         let round = Cylinder::new(&cube, 2);
         (size_mm.z / round.radius_mm).max(size_mm.y / size_mm.z).max(1.0)
@@ -433,7 +434,7 @@ fn check_settings(arguments: &Arguments, kind: &str) -> Result<()> {
     let valid_names: Vec<&str> = FILE_KINDS
         .iter()
         .filter(|k| k.name == kind)
-        .flat_map(|k| k.settings.iter().map(|s| s.name))
+        .flat_map(|k| k.settings().map(|s| s.name))
         .collect();
     match arguments
         .0
@@ -460,7 +461,7 @@ fn place_field(deformation: &Deformation, inputs: &StackInputs) -> Result<Vec<Pl
     let [map] = <[PlacedMap; 1]>::try_from(own).map_err(|_| {
         Error::value(
             "center, size, rotate, matrix",
-            "a chain of transforms is several maps; bake it into one field first",
+            "a chain of transforms becomes several maps; merge it into one field first (incise bake --field)",
         )
     })?;
     Ok(vec![placed_again(map, deformation, inputs)?])

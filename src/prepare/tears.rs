@@ -1,10 +1,10 @@
-//! Tears: where a map still displaces matter on a face of its box. Beyond the face nothing is
-//! displaced, hence what is visible there is torn ([`crate::model`], "Displacement maps").
+//! Tears: where a map still displaces something visible at a face of its box. Beyond the face nothing
+//! is displaced, hence what is visible there is torn ([`crate::model`], "Displacement maps").
 //!
 //! A kind's displacement does not vanish on every face (a bend moves the upper end of its box); such
-//! a face belongs into empty space. Every face is tested at a grid of points, on both sides. Round an
-//! axis, the seam and the axis itself are such places, too: there points of the map meet that may
-//! come from different places.
+//! a face should lie in empty space. Every face is tested at a grid of points, on both sides. In a map
+//! wrapped around an axis the same holds for the seam and for the axis itself: there points of the
+//! map meet that may come from different places.
 
 use super::deformed::Deformed;
 use super::stack_inputs::INSIDE;
@@ -19,7 +19,7 @@ const POINTS: usize = 17;
 const FACES: [&str; 6] = ["-x face", "+x face", "-y face", "+y face", "-z face", "+z face"];
 const CYLINDER_FACES: [&str; 6] = ["seam", "", "lower end", "upper end", "axis", "outer face"];
 
-/// Visible matter that is torn at a face of a deformation's box.
+/// Visible material that is torn at a face of a deformation's box.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Tear {
     /// The deformation, by its name or kind.
@@ -38,14 +38,14 @@ pub(super) fn notices(tears: &[Tear]) -> Vec<String> {
     let of_one = |tears: &[Tear]| {
         let faces: Vec<String> = tears
             .iter()
-            .map(|tear| format!("{} ({:.1} mm)", tear.face, tear.amount_mm))
+            .map(|tear| format!("{} (by up to {:.1} mm)", tear.face, tear.amount_mm))
             .collect();
         let fade_mm = tears.iter().filter_map(|tear| tear.fade_mm).reduce(f32::max);
         let fade = fade_mm.map_or(String::new(), |mm| {
-            format!(", or fade the deformation towards its faces (fade = {mm})")
+            format!(", or set fade = {mm} to reduce the displacement to zero at the faces")
         });
         format!(
-            "{}: tears what it moves at the {} of its box; enlarge the box or move it so that nothing is seen there{fade}",
+            "{}: visible material is torn at the {} of its box; enlarge or move the box so that nothing is visible there{fade}",
             tears[0].deformation,
             faces.join(", "),
         )
@@ -56,14 +56,14 @@ pub(super) fn notices(tears: &[Tear]) -> Vec<String> {
         .collect()
 }
 
-/// The tears of a deformation. `is_matter` tells whether a point of the undeformed scene shows
-/// anything, `can_fade` whether a deformation has the setting `fade`; displacements up to
-/// `tolerance_mm` are not seen.
+/// The tears of a deformation. `is_visible_source` states whether a point of the undeformed scene
+/// shows anything, `can_fade` whether a deformation has the setting `fade`; displacements up to
+/// `tolerance_mm` are too small to see.
 pub(super) fn tears(
     deformed: &Deformed,
     scene_box: &Bounds,
     tolerance_mm: f32,
-    is_matter: impl Fn(Vec3) -> bool,
+    is_visible_source: impl Fn(Vec3) -> bool,
     can_fade: impl Fn(&str) -> bool,
 ) -> Vec<Tear> {
     let maps = deformed.stack.maps();
@@ -84,7 +84,7 @@ pub(super) fn tears(
         // A group of added maps moves points together; its members are tested one by one.
         let is_visible = |p: Vec3| {
             let (source, alpha) = deformed.stack.source_before(n, p);
-            alpha >= 0.5 && is_matter(source)
+            alpha >= 0.5 && is_visible_source(source)
         };
         // Cuts remove points where they are shown: known unless later maps move them.
         let is_last = n + 1 == maps.len();
@@ -111,7 +111,7 @@ pub(super) fn tears(
                 found.push(Tear {
                     face: name,
                     amount_mm,
-                    fade_mm: fades.then(|| amount_mm.ceil().min(widest.floor()).max(1.0)),
+                    fade_mm: fades.then(|| amount_mm.ceil().max(1.0).min(widest)),
                     deformation,
                 });
             }
@@ -128,7 +128,7 @@ struct FacePoint {
     alphas: [f32; 2],
 }
 
-/// The largest distance, mm, between what the two sides of a face show, where it separates matter.
+/// The largest distance, mm, between what the two sides of a face show, where it separates something visible.
 fn amount_on(map: &PlacedMap, face: usize, tolerance_mm: f32, separates: &dyn Fn(&FacePoint) -> bool) -> f32 {
     let axis = face / 2;
     let mut largest = 0.0f32;

@@ -153,9 +153,7 @@ impl<'a> VolumeObject<'a> {
         if !self.is_present || p.cmplt(Vec3::splat(-0.5)).any() || p.cmpgt(self.grid_size - 0.5).any() {
             return false;
         }
-        let nearest = p.round().clamp(Vec3::ZERO, self.grid_size - 1.0).as_uvec3();
-        let [i, j, k] = nearest.to_array().map(|n| n as usize);
-        let value = self.grid.value(i, j, k);
+        let value = self.grid.value_near(p);
         let is_hole = self.grid.has_holes && value < -1e-4;
         !is_hole
             && match self.iso {

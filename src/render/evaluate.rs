@@ -230,10 +230,11 @@ impl Renderer {
                 self.scene.group(&self.context, &shared, None)
             };
             let variant = self.context.variant(scene, Program::Probe, false);
-            let pipeline = self.context.compute_pipeline(
-                Program::Probe,
-                false,
-                [&self.context.shared_layout, &self.context.points_layout()],
+            let function = self.context.function(scene.volume().grid);
+            let pipeline = self.context.compute_pipeline_of(
+                &self.context.module_of(Program::Probe, false, function),
+                "main",
+                &[&self.context.shared_layout, &self.context.points_layout()],
                 &overrides(&variant),
             );
             self.context.compute(&pipeline, &bindings, points)

@@ -46,6 +46,11 @@ pub fn wgsl(function: &VolumeFunction) -> String {
     text
 }
 
+/// A number limited to what values can be.
+fn limited(number: &str) -> String {
+    format!("clamp({number}, -1e30, 1e30)")
+}
+
 /// The right-hand side of an operation; operand n is the variable `vn`.
 fn statement(operation: &Operation) -> String {
     match *operation {
@@ -58,7 +63,7 @@ fn statement(operation: &Operation) -> String {
             Unary::SquareRoot => format!("sqrt(max(v{a}, 0.0))"),
             Unary::Sine => format!("sin(v{a})"),
             Unary::Cosine => format!("cos(v{a})"),
-            Unary::Exponential => format!("exp(min(v{a}, 80.0))"),
+            Unary::Exponential => format!("exp(min(v{a}, 69.0))"),
             Unary::Logarithm => format!("log(max(v{a}, 1e-30))"),
             Unary::Floor => format!("floor(v{a})"),
             Unary::SmoothStep => format!("smoothstep(0.0, 1.0, v{a})"),
@@ -66,12 +71,12 @@ fn statement(operation: &Operation) -> String {
         Operation::Binary(f, [a, b]) => match f {
             Binary::Add => format!("v{a} + v{b}"),
             Binary::Subtract => format!("v{a} - v{b}"),
-            Binary::Multiply => format!("v{a} * v{b}"),
-            Binary::Divide => format!("select(v{a} / v{b}, 0.0, v{b} == 0.0)"),
+            Binary::Multiply => limited(&format!("v{a} * v{b}")),
+            Binary::Divide => format!("select({}, 0.0, v{b} == 0.0)", limited(&format!("v{a} / v{b}"))),
             Binary::Minimum => format!("min(v{a}, v{b})"),
             Binary::Maximum => format!("max(v{a}, v{b})"),
             Binary::Remainder => {
-                format!("select(0.0, v{a} - v{b} * floor(v{a} / v{b}), v{b} > 0.0)")
+                format!("select(0.0, clamp(v{a} - v{b} * floor(v{a} / v{b}), 0.0, v{b}), v{b} > 0.0)")
             }
             Binary::Arctangent => {
                 format!("select(atan2(v{a}, v{b}), 0.0, v{a} == 0.0 && v{b} == 0.0)")
@@ -79,7 +84,7 @@ fn statement(operation: &Operation) -> String {
             Binary::Less => format!("select(0.0, 1.0, v{a} < v{b})"),
         },
         Operation::Ternary(f, [a, b, c]) => match f {
-            Ternary::Mix => format!("v{a} + (v{b} - v{a}) * clamp(v{c}, 0.0, 1.0)"),
+            Ternary::Mix => limited(&format!("v{a} + (v{b} - v{a}) * clamp(v{c}, 0.0, 1.0)")),
             Ternary::Select => format!("select(v{c}, v{b}, v{a} > 0.5)"),
             Ternary::Noise => format!("noise(vec3<f32>(v{a}, v{b}, v{c}))"),
         },

@@ -148,11 +148,13 @@ impl MapCache {
 
     /// Bounds on boxes of the texels of a cached map.
     pub(super) fn bounds_of(&self, context: &Context, map: &Arc<DisplacementMap>) -> Result<MapBounds> {
+        // An atlas may hold a map whose own texture was evicted.
+        self.map(context, map)?;
         let mut cached = lock(&self.maps);
         let found = cached
             .iter_mut()
             .find(|k| Arc::ptr_eq(&k.map, map))
-            .ok_or_else(|| Error::Gpu("a map was let go of".into()))?;
+            .ok_or_else(|| Error::Gpu("a displacement map was evicted while it was in use".into()))?;
         match &found.bounds {
             Some(bounds) => Ok(bounds.clone()),
             None => {

@@ -9,7 +9,6 @@
 
 use super::Renderer;
 use super::context::{Context, lock};
-use super::counter::Counter;
 use super::draw::{Canvas, Draw, PendingSubmissions};
 use super::pipelines::{color_target, gathered_layout};
 use super::target::{Corner, MASK, PROJECTION_FORMAT};
@@ -74,13 +73,7 @@ impl Context {
             constants: &constants,
             ..Default::default()
         };
-        let counts = variant.counting.then(|| Counter::layout(device));
-        let object = self.object_layout();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&self.shared_layout), counts.as_ref(), Some(&object)],
-            immediate_size: 0,
-        });
+        let layout = self.object_pipeline_layout(&variant);
         let back_to_front = variant.order == SliceOrder::BackToFront;
         let corner = wgpu::VertexBufferLayout {
             array_stride: size_of::<Corner>() as u64,

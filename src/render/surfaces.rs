@@ -100,6 +100,21 @@ impl Context {
             .clone()
     }
 
+    /// The layout of the pipelines that draw one object.
+    pub(super) fn object_pipeline_layout(&self, variant: &Variant) -> wgpu::PipelineLayout {
+        let device = &self.device.device;
+        let counts = variant.counting.then(|| Counter::layout(device));
+        device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[
+                Some(&self.shared_layout),
+                counts.as_ref(),
+                Some(&self.object_layout()),
+            ],
+            immediate_size: 0,
+        })
+    }
+
     fn compiled_surface(&self, variant: Variant) -> wgpu::RenderPipeline {
         self.tally.count(ResourceKind::Pipeline);
         let device = &self.device.device;
@@ -109,13 +124,7 @@ impl Context {
             constants: &constants,
             ..Default::default()
         };
-        let counts = variant.counting.then(|| Counter::layout(device));
-        let object = self.object_layout();
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: None,
-            bind_group_layouts: &[Some(&self.shared_layout), counts.as_ref(), Some(&object)],
-            immediate_size: 0,
-        });
+        let layout = self.object_pipeline_layout(&variant);
         let corner = wgpu::VertexBufferLayout {
             array_stride: size_of::<MeshCorner>() as u64,
             step_mode: wgpu::VertexStepMode::Vertex,

@@ -220,7 +220,8 @@ impl VolumeCache {
         let factors = factors(grid.size, texel, max_voxels, max_bytes);
         let reduced = (factors != [1; 3]).then(|| grid.reduced(factors));
         let shown = reduced.as_ref().unwrap_or(grid);
-        let notice = reduced.as_ref().map(|r| {
+        // A function is sampled itself.
+        let notice = reduced.as_ref().filter(|_| grid.function.is_none()).map(|r| {
             let by = |s: [usize; 3]| format!("{} x {} x {}", s[0], s[1], s[2]);
             format!(
                 "the volume of {} voxels exceeds this GPU's limits and is downsampled to {}; use --backend cpu for full resolution",

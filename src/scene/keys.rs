@@ -24,7 +24,7 @@ struct Checker<'a> {
 /// Names of a kind's parameters and settings; none if the kind is unknown.
 fn parameters(kind: &str) -> Option<Vec<&'static str>> {
     if let Some(file) = FILE_KINDS.iter().find(|k| k.name == kind) {
-        return Some(file.settings.iter().map(|s| s.name).collect());
+        return Some(file.settings().map(|s| s.name).collect());
     }
     let kind = kinds::kind(kind).ok()?;
     Some(

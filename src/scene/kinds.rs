@@ -539,9 +539,13 @@ mod tests {
                 settings,
             )
         });
-        let files = FILE_KINDS
-            .iter()
-            .map(|k| (k.name, Vec::new(), k.settings.iter().map(|s| s.name).collect()));
+        let files = FILE_KINDS.iter().map(|k| {
+            (
+                k.name,
+                Vec::new(),
+                k.own_settings.iter().map(|s| s.name).collect(),
+            )
+        });
         let expected: Vec<_> = formulas.chain(files).collect();
         let typed: Vec<_> = ALL
             .iter()

@@ -90,7 +90,8 @@ pub struct VolumeSource {
     /// on slices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<String>,
-    /// A mesh; only the volume inside it is shown. Holes are closed by its winding number.
+    /// A mesh; only the volume inside it is shown. If it has holes, its winding number decides what
+    /// is inside.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside: Option<InsideMesh>,
 }
@@ -330,7 +331,7 @@ pub enum BlendFormat {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum JacobianSource {
-    /// By differences between samples of the map.
+    /// By central differences of the map at the sample.
     #[default]
     Differences,
     /// From derivatives stored for each texel: fewer samples, four times the memory.
@@ -399,8 +400,8 @@ pub struct RenderSettings {
     pub blend_format: BlendFormat,
     /// How the Jacobians of displacement maps are found.
     pub jacobian: JacobianSource,
-    /// How displacement maps are interpolated; by default in 24 bits or more, the faster way on the
-    /// device.
+    /// How displacement maps are interpolated; by default with weights of at least 24 bits, by
+    /// whichever way is faster on the device.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub map_filter: Option<MapFiltering>,
     /// Replace all deformations by one precomputed map wherever its error is at most this, mm;

@@ -29,9 +29,10 @@ pub enum Steps {
     Uniform,
     /// Finer near the surface (Hadwiger et al. 2005).
     Threshold,
-    /// Even in the undeformed scene, by the deformation's rate at each sample (\[DS07\] eq 4).
+    /// Uniform in the undeformed scene: scaled by the Jacobian at each sample (\[DS07\] eq 4).
     Jacobian,
-    /// As `jacobian`, by a bound on that rate between samples: no narrow part is stepped over.
+    /// As `jacobian`, but scaled by a bound on the Jacobian between samples, so that no narrow part
+    /// is missed.
     JacobianBound,
     /// Sphere tracing: as far as the distance field and the deformation's Lipschitz bound allow
     /// (Hart 1996, in deformed space).

@@ -9,6 +9,7 @@ use super::function::VolumeFunction;
 use super::{Colors, Rescale, Volume, Voxels};
 use crate::math::cells::Strides;
 use crate::math::lanes::{LANES, Simd, f32x8};
+use glam::Vec3;
 use ndarray::{ArcArray3, Array3, Axis, Zip};
 use std::sync::Arc;
 
@@ -190,6 +191,16 @@ impl VoxelGrid {
             colors: None,
             function: self.function.clone(),
         }
+    }
+
+    /// Normalised value at a position in voxels: the function's, or that of the nearest voxel.
+    pub fn value_near(&self, in_voxel: Vec3) -> f32 {
+        if let Some(function) = &self.function {
+            return function.values(&[in_voxel])[0];
+        }
+        let last = Vec3::from(self.size.map(|n| n as f32)) - 1.0;
+        let nearest = in_voxel.round().clamp(Vec3::ZERO, last).as_uvec3();
+        self.value(nearest.x as usize, nearest.y as usize, nearest.z as usize)
     }
 
     /// Normalised value at a voxel.

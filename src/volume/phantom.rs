@@ -145,7 +145,7 @@ pub fn from_spec(spec: &str) -> Result<Volume> {
         if phantom.stored == Stored::Labels {
             return Err(Error::value(
                 format!("phantom:{spec}"),
-                "a label map has voxels; leave out sampling=function",
+                "a label map cannot be sampled as a function; remove sampling=function",
             ));
         }
         volume.function = Some(Arc::new(expression(phantom, options.spacing_mm)));
@@ -156,7 +156,7 @@ pub fn from_spec(spec: &str) -> Result<Volume> {
 /// The volume given by `EXPRESSION[:size=N][:spacing=AxBxC][:sampling=voxels|function]`: a function
 /// of x, y and z in millimetres (see [`function`](super::function)) over a cube of 160 mm about the
 /// origin, evaluated wherever a sample is taken. The grid of N voxels along each edge (128 by
-/// default) serves what needs voxels: the histogram, the range of values, and sections.
+/// default) serves what needs voxels: the histogram, the range of values, and surfaces of a value.
 ///
 /// # Errors
 /// An expression that cannot be parsed, and options as for [`from_spec`].
@@ -172,6 +172,13 @@ pub fn from_function(spec: &str) -> Result<Volume> {
         Rescale::NONE,
         placed(options.size, options.spacing_mm),
     );
+    let span = (volume.range[1] - volume.range[0]) as f32;
+    if span > 0.0 && !span.recip().is_normal() {
+        return Err(Error::value(
+            format!("function:{text}"),
+            "its values differ by too little to be told apart; multiply them",
+        ));
+    }
     if options.by_function.unwrap_or(true) {
         volume.function = Some(Arc::new(expression));
     }
@@ -239,7 +246,7 @@ impl ProceduralOptions {
                 }
             }
             if parsed.size.iter().any(|n| !(2..=1024).contains(n)) {
-                return Err(bad("that makes a grid outside 2 to 1024 voxels along an axis"));
+                return Err(bad("the grid must have 2 to 1024 voxels along each axis"));
             }
         }
         Ok(parsed)

@@ -38,7 +38,7 @@ mod twist;
 mod wave;
 
 pub use super::field::{Backward, Field};
-pub use modifiers::vary_everywhere;
+pub use modifiers::{COMMON_SETTINGS, vary_everywhere};
 pub use settings::{Setting, SettingFormat};
 
 use super::cut::CutShapeKind;
@@ -238,13 +238,13 @@ pub struct FieldInputs<'a> {
     pub settings: &'a Arguments,
     /// From the box's local millimetres to world millimetres.
     pub world_from_local: Affine3A,
-    /// The cylinder that the map is laid round, if it is.
+    /// The cylinder that the map is wrapped around, if it is.
     pub cylinder: Option<RoundMap>,
     /// Files and volumes.
     pub library: &'a Library,
 }
 
-/// A map laid round an axis of its box in the world.
+/// A map wrapped around an axis of its box in the world.
 #[derive(Clone, Copy, Debug)]
 pub struct RoundMap {
     /// The cylinder.
@@ -585,10 +585,7 @@ impl Kind {
     /// All non-numeric settings: the kind's own and those common to every kind.
     pub fn settings(&self) -> impl Iterator<Item = &'static Setting> {
         let of_cuts: &[Setting] = if self.shape.is_some() { CUT_SETTINGS } else { &[] };
-        self.own_settings()
-            .iter()
-            .chain(of_cuts)
-            .chain(modifiers::SETTINGS)
+        self.own_settings().iter().chain(of_cuts).chain(COMMON_SETTINGS)
     }
 
     /// Settings that demonstrate the kind in a box with the given bounds (mm, world).

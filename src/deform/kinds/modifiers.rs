@@ -12,7 +12,7 @@ use glam::{Affine3A, Vec2, Vec3};
 use std::sync::Arc;
 
 /// Settings common to every kind.
-pub(super) const SETTINGS: &[Setting] = &[
+pub const COMMON_SETTINGS: &[Setting] = &[
     Setting {
         name: "spare",
         form: SettingFormat::Whole,
@@ -55,7 +55,7 @@ pub(super) fn apply(
             return Err(Error::value(
                 "fade",
                 format!(
-                    "{fade_mm} is outside 0 to {} mm, half the box",
+                    "{fade_mm} is outside 0 to {} mm (half the longest edge of the box)",
                     half.max_element()
                 ),
             ));
@@ -94,7 +94,7 @@ struct Faded {
     /// Half the extent of the map's cube, mm.
     half: Vec3,
     fade_mm: f32,
-    /// Height and radius of the cylinder that the map is laid round, mm.
+    /// Height and radius of the cylinder that the map is wrapped around, mm.
     cylinder_mm: Option<Vec2>,
 }
 
@@ -130,7 +130,7 @@ struct Spared {
     inner: Box<dyn Field>,
     distance: Arc<DistanceGrid>,
     world_from_local: Affine3A,
-    /// The cylinder that the map is laid round, and the extent of the map's cube, mm.
+    /// The cylinder that the map is wrapped around, and the extent of the map's cube, mm.
     round: Option<(RoundMap, Vec3)>,
     /// Width over which the displacement fades towards a spared label.
     fade_mm: f32,

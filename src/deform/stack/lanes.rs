@@ -62,7 +62,7 @@ impl PlacedMap {
         (stored.mapped(&self.world_from_stored), alpha)
     }
 
-    /// The same for a map laid round an axis, one point after the other.
+    /// The same for a map wrapped around an axis, one point after the other.
     #[inline(never)]
     fn displacement_by_lane<S: Simd>(&self, simd: S, x: &Vec3x8<S>, lanes: u64) -> (Vec3x8<S>, f32x8<S>) {
         let (mut moved, mut alphas) = ([Vec3::ZERO; LANES], [1.0; LANES]);

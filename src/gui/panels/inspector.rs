@@ -242,7 +242,7 @@ fn show_file_settings(ui: &mut Ui, d: &mut Deformation, place: usize, folder: &P
     let kind = crate::deform::file_kinds::FILE_KINDS
         .iter()
         .find(|k| k.name == d.kind);
-    for s in kind.iter().flat_map(|k| k.settings) {
+    for s in kind.iter().flat_map(|k| k.settings()) {
         setting(ui, d, place, s, folder);
     }
 }

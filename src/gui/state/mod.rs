@@ -40,7 +40,7 @@ use self::worker::{MeasureResult, Prober, Worker};
 use super::gizmos::Drag;
 use super::text::number;
 use crate::engine::Backend;
-use crate::prepare::measure::nearest_value;
+use crate::prepare::measure::value_at;
 use crate::prepare::{AssetKey, Assets};
 use crate::scene::Scene;
 use crate::scene::measure::Measure;
@@ -100,7 +100,7 @@ impl Hover {
         let value = value.or_else(|| {
             assets
                 .has_volume
-                .then(|| nearest_value(&assets.volume, source.as_dvec3()))
+                .then(|| value_at(&assets.volume, source.as_dvec3()))
                 .flatten()
         });
         let region = Regions::new(assets).and_then(|r| r.label(source).filter(|l| *l > 0).map(|l| r.name(l)));

@@ -3,6 +3,19 @@
 use std::cell::RefCell;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+/// Largest magnitude of a value. Products, quotients and the result are limited to it, and sums have
+/// too few terms to leave the range of numbers.
+pub(super) const LARGEST: f32 = 1e30;
+
+/// A number limited to what values can be.
+pub(super) fn limited(number: f32) -> f32 {
+    if number.is_nan() {
+        0.0
+    } else {
+        number.clamp(-LARGEST, LARGEST)
+    }
+}
+
 /// An operation on one number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the variants are the operations' usual names")]
@@ -13,7 +26,7 @@ pub enum Unary {
     SquareRoot,
     Sine,
     Cosine,
-    /// The exponential of a number up to 80.
+    /// The exponential of a number up to 69.
     Exponential,
     /// The natural logarithm of a number not below 1e-30.
     Logarithm,
@@ -179,9 +192,9 @@ impl Graph {
         Point { x, y, z }
     }
 
-    /// A number.
+    /// A number, limited to what values can be.
     pub fn constant(&self, number: f32) -> Value<'_> {
-        self.record(Operation::Constant(number))
+        self.record(Operation::Constant(limited(number)))
     }
 
     /// Number of recorded operations.
@@ -305,6 +318,26 @@ impl<'g> Value<'g> {
     /// The product with itself.
     pub fn squared(self) -> Self {
         self * self
+    }
+
+    /// A whole power: 1 for exponent 0; of 0, 0 for a negative one.
+    pub fn powi(self, exponent: i32) -> Self {
+        let (mut power, mut square) = (self.constant(1.0), self);
+        let mut left = exponent.unsigned_abs();
+        while left > 0 {
+            if left % 2 == 1 {
+                power = if power.number() == Some(1.0) {
+                    square
+                } else {
+                    power * square
+                };
+            }
+            left /= 2;
+            if left > 0 {
+                square = square.squared();
+            }
+        }
+        if exponent < 0 { 1.0 / power } else { power }
     }
 
     /// The smaller of two values.

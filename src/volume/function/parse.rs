@@ -6,9 +6,12 @@
 use super::expression::{Expression, Graph, Point, Value};
 use super::solids;
 use crate::error::suggestion;
+use glam::Vec3;
 
 /// Maximum depth of parentheses and signs.
 const MAX_DEPTH: usize = 100;
+/// Largest exponent of a whole power; beyond it every number is even.
+const LARGEST_WHOLE_POWER: f32 = 16_777_216.0;
 /// Maximum number of operations.
 const MAX_OPERATIONS: usize = 4000;
 
@@ -20,20 +23,16 @@ pub const FUNCTIONS: [(&str, &[&str], &str); 25] = [
     ("cos", &["a"], "the cosine of an angle in radians"),
     ("exp", &["a"], "the exponential"),
     ("log", &["a"], "the natural logarithm"),
-    ("floor", &["a"], "the largest integer that is not larger"),
+    ("floor", &["a"], "the largest integer not above a"),
     ("round", &["a"], "the closest integer"),
     ("min", &["a", "b"], "the smaller number"),
     ("max", &["a", "b"], "the larger number"),
     ("mod", &["a", "b"], "the remainder of a / b, from 0 to b"),
-    (
-        "atan2",
-        &["y", "x"],
-        "the angle of a point of the plane in radians",
-    ),
+    ("atan2", &["y", "x"], "the angle of the point (x, y), in radians"),
     (
         "clamp",
         &["a", "low", "high"],
-        "the closest number within a range",
+        "a limited to the range from low to high",
     ),
     ("mix", &["a", "b", "t"], "from a to b as t goes from 0 to 1"),
     ("if", &["c", "a", "b"], "a if c is above 0.5, else b"),
@@ -71,12 +70,12 @@ pub const FUNCTIONS: [(&str, &[&str], &str); 25] = [
     (
         "box",
         &["cx", "cy", "cz", "hx", "hy", "hz"],
-        "that of a box of half edges h",
+        "that of a box with half-edge lengths h",
     ),
     (
         "disc",
         &["cx", "cy", "cz", "ax", "ay", "az", "r", "h"],
-        "that of a cylinder about the unit vector a, of half height h",
+        "that of a cylinder around the direction a, with half-height h",
     ),
     (
         "gyroid",
@@ -135,8 +134,8 @@ impl<'t, 'g> Parser<'t, 'g> {
             return Ok(());
         }
         Err(match self.rest() {
-            Some(rest) => format!("\"{rest}\" stands where a \"{character}\" should"),
-            None => format!("a \"{character}\" is missing at the end"),
+            Some(rest) => format!("expected \"{character}\" at \"{rest}\""),
+            None => format!("\"{character}\" is missing at the end"),
         })
     }
 
@@ -198,13 +197,7 @@ impl<'t, 'g> Parser<'t, 'g> {
         let exponent = self.signed()?;
         self.depth -= 1;
         Ok(match exponent.number() {
-            Some(n) if n.fract() == 0.0 && (1.0..=16.0).contains(&n) => {
-                let mut product = base;
-                for _ in 1..n as u32 {
-                    product = product * base;
-                }
-                product
-            }
+            Some(n) if n.fract() == 0.0 && n.abs() <= LARGEST_WHOLE_POWER => base.powi(n as i32),
             _ => (exponent * base.ln()).exp(),
         })
     }
@@ -214,7 +207,7 @@ impl<'t, 'g> Parser<'t, 'g> {
             return Err(format!("it needs more than {MAX_OPERATIONS} operations"));
         }
         let Some(rest) = self.rest() else {
-            return Err("it ends where a number, a name or a \"(\" should stand".into());
+            return Err("it ends where a number, a name or \"(\" is expected".into());
         };
         if self.take("(").is_some() {
             let value = self.comparison()?;
@@ -233,7 +226,7 @@ impl<'t, 'g> Parser<'t, 'g> {
             .parse()
             .ok()
             .filter(|n: &f32| n.is_finite())
-            .ok_or_else(|| format!("\"{rest}\" stands where a number, a name or a \"(\" should"))?;
+            .ok_or_else(|| format!("expected a number, a name or \"(\" at \"{rest}\""))?;
         self.at += length;
         Ok(self.graph.constant(number))
     }
@@ -273,7 +266,7 @@ impl<'t, 'g> Parser<'t, 'g> {
             a.iter()
                 .map(|a| {
                     a.number()
-                        .ok_or_else(|| format!("{name}() takes numbers, not functions of x, y and z"))
+                        .ok_or_else(|| format!("{name}() takes constants, not functions of x, y and z"))
                 })
                 .collect()
         };
@@ -295,9 +288,11 @@ impl<'t, 'g> Parser<'t, 'g> {
             "clamp" => a[0].max(a[1]).min(a[2]),
             "mix" => a[0].mix(a[1], a[2]),
             "if" => a[0].select(a[1], a[2]),
+            "smoothstep" if (a[1] - a[0]).number() == Some(0.0) => a[0].less(a[2]),
             "smoothstep" => ((a[2] - a[0]) / (a[1] - a[0])).smooth_step(),
             "length" => Point::new(a[0], a[1], a[2]).length(),
             "noise" => Point::new(a[0], a[1], a[2]).noise(),
+            "cover" if a[1].number() == Some(0.0) => self.graph.constant(0.0).less(a[0]),
             "cover" => ((a[0] + a[1]) / (2.0 * a[1])).smooth_step(),
             "sphere" => {
                 let n = numbers()?;
@@ -305,6 +300,9 @@ impl<'t, 'g> Parser<'t, 'g> {
             }
             "ellipsoid" => {
                 let n = numbers()?;
+                if n[3..].iter().any(|r| *r <= 0.0) {
+                    return Err("ellipsoid() takes radii above 0".into());
+                }
                 solids::ellipsoid(p, three(&n), three(&n[3..]))
             }
             "capsule" => {
@@ -317,7 +315,10 @@ impl<'t, 'g> Parser<'t, 'g> {
             }
             "disc" => {
                 let n = numbers()?;
-                solids::disc(p, three(&n), three(&n[3..]), n[6], n[7])
+                let axis = Vec3::from_slice(&n[3..6])
+                    .try_normalize()
+                    .ok_or_else(|| "disc() takes an axis that is not 0".to_owned())?;
+                solids::disc(p, three(&n), axis.to_array(), n[6], n[7])
             }
             _ => {
                 let k = 2.0 * std::f32::consts::PI / a[0];
@@ -405,10 +406,12 @@ mod tests {
             ("x y", "\"y\" follows"),
             ("sine(x)", "sin"),
             ("min(x)", "min(a, b) takes 2 numbers and is given 1 number"),
-            ("sphere(x, 0, 0, 1)", "takes numbers"),
-            ("1e999", "stands where"),
+            ("sphere(x, 0, 0, 1)", "takes constants"),
+            ("ellipsoid(0, 0, 0, 0, 5, 5)", "radii above 0"),
+            ("disc(0, 0, 0, 0, 0, 0, 5, 5)", "an axis that is not 0"),
+            ("1e999", "expected a number"),
             ("x # y", "follows"),
-            ("é", "stands where"),
+            ("é", "expected a number"),
         ] {
             let message = parse(text).unwrap_err();
             assert!(message.contains(part), "{text}: {message}");

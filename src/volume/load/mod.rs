@@ -138,7 +138,13 @@ impl FileFormat {
 /// [`Error::Cancelled`].
 pub fn volume(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Volume> {
     if let Some(volume) = path.to_str().map(phantom::from_path).transpose()?.flatten() {
-        return Ok(volume);
+        return match choice.stated() {
+            Some(name) => Err(Error::value(
+                name,
+                format!("applies to files, but {} is a function", path.display()),
+            )),
+            None => Ok(volume),
+        };
     }
     let volume = image(path, choice, watch)?.into_volume(path, choice)?;
     watch.check()?;

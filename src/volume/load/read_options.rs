@@ -34,6 +34,23 @@ pub struct ReadOptions {
     pub raw: Option<RawLayout>,
 }
 
+impl ReadOptions {
+    /// The name of an option that is stated, if any is.
+    pub(super) fn stated(&self) -> Option<&'static str> {
+        [
+            (self.series.is_some(), "series"),
+            (self.time.is_some(), "time"),
+            (self.channel.is_some(), "channel"),
+            (self.level.is_some(), "level"),
+            (self.spacing.is_some(), "spacing"),
+            (self.resample, "resample"),
+            (self.raw.is_some(), "raw"),
+        ]
+        .into_iter()
+        .find_map(|(stated, name)| stated.then_some(name))
+    }
+}
+
 /// Layout of a raw file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -95,7 +95,7 @@ fn show_slices(ui: &mut Ui, render: &mut RenderSettings) {
     );
     choice(
         ui,
-        "Blended in",
+        "Blend format",
         &mut render.blend_format,
         &[
             (BlendFormat::Float32, "32-bit floats"),
@@ -111,7 +111,7 @@ fn show_maps(ui: &mut Ui, render: &mut RenderSettings) {
         "Map filter",
         &mut render.map_filter,
         &[
-            (None, "the device's best"),
+            (None, "automatic"),
             (Some(MapFiltering::Shader), "24-bit weights"),
             (Some(MapFiltering::Hardware), "8-bit weights"),
         ],
@@ -121,7 +121,7 @@ fn show_maps(ui: &mut Ui, render: &mut RenderSettings) {
         "Jacobians",
         &mut render.jacobian,
         &[
-            (JacobianSource::Differences, "by differences"),
+            (JacobianSource::Differences, "central differences"),
             (JacobianSource::Stored, "stored per texel"),
         ],
     );
