@@ -13,6 +13,7 @@ use incise::deform::kinds::{self, Kind};
 use incise::math::Bounds;
 use incise::scene::{file, surface};
 use incise::transfer;
+use incise::volume::phantom::is_procedural;
 use outcome::{Outcome, complaint, on_a_gpu, run};
 use serde_json::Value as Schema;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -170,6 +171,17 @@ impl Maker<'_> {
         }
         match path {
             "mesh" => self.made_of_something(&mut table),
+            // What is computed has no options of files.
+            "volume"
+                if table
+                    .get("path")
+                    .and_then(Value::as_str)
+                    .is_some_and(is_procedural)
+                    && self.random.chance(0.95) =>
+            {
+                let of_files = ["series", "time", "channel", "level", "spacing", "resample", "raw"];
+                table.retain(|key, _| !of_files.contains(&key));
+            }
             "deformation" => self.parameters(&mut table),
             "mesh.deformer" | "volume.inside.deformer" => {
                 let name = self.random.one_of(&[
@@ -292,6 +304,13 @@ impl Maker<'_> {
                 deformation.insert(setting.name.into(), value);
             }
         }
+        // A label map alone does nothing.
+        let names_labels = ["spare", "label", "stiffness"]
+            .iter()
+            .any(|key| deformation.contains_key(*key));
+        if !names_labels && self.random.chance(0.95) {
+            deformation.remove("labels");
+        }
         // Spared labels need a label map.
         if deformation.contains_key("spare") && self.random.chance(0.9) {
             deformation.insert("labels".into(), Value::String(self.files.labels[0].clone()));
@@ -377,6 +396,7 @@ impl Maker<'_> {
                 16 + self.random.below(32) as i64
             }
             "time" | "channel" => 1,
+            "slab" => [1, 1, 4, 32][self.random.below(4)],
             _ => self.random.below(6) as i64,
         }
     }

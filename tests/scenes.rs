@@ -40,7 +40,8 @@ pub fn every_scene_loads_and_comes_back() {
         again.folder.clone_from(&scene.folder);
         assert_eq!(again, scene, "{}", file.display());
         assert!(
-            scene.volume_name().starts_with("phantom:") || scene.volume_path().is_none_or(|p| p.is_file())
+            incise::volume::phantom::is_procedural(scene.volume_name())
+                || scene.volume_path().is_none_or(|p| p.is_file())
         );
     }
 }

@@ -74,7 +74,11 @@ impl Interpolant {
                     return Ok((i, None));
                 }
                 let n = scattered.points.len();
-                let why = if n < 4 { format!("{n} points are too few") } else { "the points are too close to coplanar".into() };
+                let why = match n {
+                    1 => "1 point is too few".into(),
+                    2 | 3 => format!("{n} points are too few"),
+                    _ => "the points are too close to coplanar".into(),
+                };
                 let notice = format!("{why} for a thin-plate spline; Gaussians {wanted:.0} mm wide are used");
                 match scattered.gaussians(wanted) {
                     Some(i) => Ok((i, Some(notice))),

@@ -87,21 +87,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         );
         volume_settings(prepared, composite, &mut unless);
     }
-    unless(
-        settings.mode == Mode::Slice,
-        &["render.slab", "render.slice_order", "render.blend_format"],
-        NOT_SLICES,
-    );
-    unless(
-        settings.mode != Mode::Slice || prepared.has_slices(),
-        &["render.slab", "render.slice_order", "render.blend_format"],
-        "there is nothing to slice",
-    );
-    unless(
-        prepared.slice_order() == settings.slice_order,
-        &["render.slice_order"],
-        "several surfaces are drawn back to front",
-    );
+    slice_settings(prepared, &mut unless);
     unless(
         volume && prepared.is_lit() || surfaces,
         &[
@@ -118,6 +104,45 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         "nothing is sampled along rays",
     );
     unless(
+        prepared.frame.view.projection == Projection::Perspective,
+        &["camera.field_of_view"],
+        "it applies only to a perspective view",
+    );
+    map_settings(prepared, scene, volume, rays, &mut unless);
+    surface_settings(prepared, scene, surfaces, rays, &mut unless);
+    all
+}
+
+/// What depends on slices.
+fn slice_settings(prepared: &Prepared, unless: &mut impl FnMut(bool, &[&'static str], &'static str)) {
+    let settings = &prepared.settings;
+    unless(
+        settings.mode == Mode::Slice,
+        &["render.slab", "render.slice_order", "render.blend_format"],
+        NOT_SLICES,
+    );
+    unless(
+        settings.mode != Mode::Slice || prepared.has_slices(),
+        &["render.slab", "render.slice_order", "render.blend_format"],
+        "there is nothing to slice",
+    );
+    unless(
+        prepared.slice_order() == settings.slice_order,
+        &["render.slice_order"],
+        "several surfaces are drawn back to front",
+    );
+}
+
+/// What depends on deformations and cuts.
+fn map_settings(
+    prepared: &Prepared,
+    scene: &Scene,
+    volume: bool,
+    rays: bool,
+    unless: &mut impl FnMut(bool, &[&'static str], &'static str),
+) {
+    let settings = &prepared.settings;
+    unless(
         prepared.stack.maps().len() > 1,
         &["render.precompose"],
         "it combines displacement maps, and the scene has fewer than two",
@@ -129,11 +154,6 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             .any(|d| d.enabled && kinds::kind(&d.kind).is_ok_and(|k| k.shape.is_some())),
         &["render.exact_cuts"],
         "the scene has no cut by a simple shape",
-    );
-    unless(
-        prepared.frame.view.projection == Projection::Perspective,
-        &["camera.field_of_view"],
-        "it applies only to a perspective view",
     );
     let differentiates =
         volume && prepared.is_lit() && matches!(settings.normals, Normals::Transformed | Normals::Blended)
@@ -153,8 +173,6 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         &["render.map_filter"],
         "the scene has no displacement map",
     );
-    surface_settings(prepared, scene, surfaces, rays, &mut unless);
-    all
 }
 
 /// What depends on how a volume is shown.

@@ -28,11 +28,13 @@ pub(super) fn check_modifiers(deformation: &Deformation) -> Result<()> {
         let name = format!("{}: {name}", deformation.kind);
         Err(Error::value(name, problem))
     };
-    let has_own_labels = kind.is_some_and(|k| k.own_settings().iter().any(|s| s.name == "label"));
-    if settings.0.contains_key("labels") && !settings.0.contains_key("spare") && !has_own_labels {
+    let names_labels = ["spare", "label", "stiffness"]
+        .iter()
+        .any(|name| settings.0.contains_key(*name));
+    if settings.0.contains_key("labels") && !names_labels {
         return refuse(
             "labels",
-            "is the file of the labels that spare names; add spare, or remove labels",
+            "is the file of the labels that another setting names (spare, for example); add that setting, or remove labels",
         );
     }
     let fades = settings

@@ -141,7 +141,7 @@ pub fn volume(path: &Path, choice: &ReadOptions, watch: &Watch) -> Result<Volume
         return match choice.stated() {
             Some(name) => Err(Error::value(
                 name,
-                format!("applies to files, but {} is a function", path.display()),
+                format!("applies to files, and {} is not read from one", path.display()),
             )),
             None => Ok(volume),
         };
