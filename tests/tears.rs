@@ -19,8 +19,11 @@ fn number(n: f64) -> Argument {
     Argument::Number(n as f32)
 }
 
-/// The faces that tear, with the amounts and the fades that mend them; and the notices.
-fn tears(deformations: &[Deformation]) -> (Vec<(&'static str, f32, Option<f32>)>, Vec<String>) {
+/// A face that tears, by how much, and the fade that mends it, mm.
+type Torn = (&'static str, f32, Option<f32>);
+
+/// The faces that tear, and the notices.
+fn tears(deformations: &[Deformation]) -> (Vec<Torn>, Vec<String>) {
     let mut scene = Scene::of_volume("phantom:ball:size=64");
     scene.deformation = deformations.to_vec();
     let assets = Assets::load(&scene).unwrap();

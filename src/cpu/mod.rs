@@ -1,8 +1,8 @@
 //! The CPU renderer: the reference for tests, and the backend where there is no GPU.
 //!
-//! *Theory*: two renderers of volumes share what a sample is ([`packet`], `packet_shading`, `found`,
+//! *Theory*: two renderers of volumes share what a sample is (`packet`, `packet_shading`, `found`,
 //! [`shading`]) and nothing else. *Rays* ([`march`]) put samples at t = (i + 1/2) Δ from the eye
-//! and composite them front to back. *Slices* ([`slices`]) rasterise the polygons in which the
+//! and composite them front to back. *Slices* (`slices`) rasterise the polygons in which the
 //! planes at depths (i + 1/2) Δ cut the volume's box, and composite them back to front. Surfaces
 //! are found first, by [`surface`]. Samples are anchored at the eye, not at the box; a different
 //! box (one map more or less, skipping on or off) samples the same points.

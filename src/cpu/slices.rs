@@ -3,10 +3,10 @@
 //! premultiplied; \[DDM06\] section 4).
 //!
 //! *Theory*: a slice is parallel to the picture plane, so interpolation over its polygon is affine
-//! in pixel coordinates: the fragment of pixel (u, v) at depth z lies at eye + z (forward + u right
-//! + v up), or at eye + z forward + u right + v up without perspective. A fragment stands for the
-//! path Δ / cos θ between slices along its pixel's ray, θ being the angle between that ray and the
-//! slices' normal (opacity correction).
+//! in pixel coordinates: the fragment of pixel (u, v) at depth z lies at
+//! eye + z (forward + u right + v up), or at eye + z forward + u right + v up without perspective.
+//! A fragment stands for the path Δ / cos θ between slices along its pixel's ray, θ being the angle
+//! between that ray and the slices' normal (opacity correction).
 //!
 //! *Method*: the picture is drawn in tiles small enough for the cache; a tile passes through all
 //! slices before the next one starts. A polygon covers the pixels whose centres it contains; a

@@ -176,15 +176,8 @@ impl Renderer {
         if composite && back_to_front {
             self.draw_surfaces_behind_slices(draw, &targets, &mut encoder);
         }
-        self.context.draw_slabs(
-            draw,
-            &targets,
-            &slabs,
-            slices.slices_per_slab,
-            &surfaces,
-            &mut encoder,
-            &mut pending,
-        )?;
+        self.context
+            .draw_slabs(draw, &targets, &slabs, &surfaces, &mut encoder, &mut pending)?;
         if composite && !back_to_front {
             self.draw_surfaces_behind_slices(draw, &targets, &mut encoder);
         }
@@ -258,7 +251,6 @@ impl Context {
         draw: &Draw,
         targets: &SliceTargets,
         slabs: &[Range<u32>],
-        slices_per_slab: u32,
         surfaces: &[wgpu::BindGroup],
         encoder: &mut wgpu::CommandEncoder,
         pending: &mut PendingSubmissions,
@@ -271,6 +263,7 @@ impl Context {
             .map(|_| self.gathered_group(&draw.target.view));
         let pipeline = &self.pipeline(draw.variant(self, Program::Slice));
         let canvas = targets.canvas(wgpu::LoadOp::Load, wgpu::LoadOp::Load);
+        let slices_per_slab = scene.slices_per_slab();
         let samples_per_slab = u64::from(width) * u64::from(height) * u64::from(slices_per_slab);
         // Volume and surfaces take turns, slice by slice.
         let slabs_at_once = if surfaces.is_empty() {

@@ -249,7 +249,8 @@ impl Interval {
 
     /// The range of the sine; of the cosine with `quarter` = π/2.
     fn sine(self, quarter: f32) -> Self {
-        if !(self.high - self.low < TAU) {
+        let width = self.high - self.low;
+        if width.is_nan() || width >= TAU {
             return Self::new(-1.0, 1.0);
         }
         // Rounding of an angle, which grows with it.
