@@ -11,7 +11,7 @@ use incise::gui::state::shown::DisplayedPicture;
 use incise::gui::views::letters;
 use incise::prepare::{Assets, Deformed};
 use incise::scene::measure::Measure;
-use incise::scene::{Projection, Size};
+use incise::scene::{Projection, Size, SliceOrder};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -342,10 +342,13 @@ fn rendered(
     size: [usize; 2],
 ) -> ColorImage {
     let mut scene: Scene = (*picture.of.scene).clone();
-    let coarse = scene.render.size != size.map(|n| n as u32);
     (scene.render.size, scene.render.step) = (size.map(|n| n as u32), facts.step);
-    if coarse {
+    if facts.is_draft {
         scene.render.antialias = 1;
+        if scene.render.mode == Mode::Slice {
+            scene.render.slab = scene.render.slab.max(32);
+            scene.render.slice_order = SliceOrder::FrontToBack;
+        }
     }
     let prepared = Prepared::new(&scene, &picture.of.assets).unwrap();
     let bytes = cpu::render(&prepared).picture.over(prepared.settings.background);

@@ -54,6 +54,8 @@ pub struct Facts {
     pub device: Option<DeviceInfo>,
     /// Its size, pixels.
     pub size: [usize; 2],
+    /// Whether it is a draft, for a moving view.
+    pub is_draft: bool,
     /// Sampling distance, voxels.
     pub step: f32,
     /// Notices for the user, one sentence each.
@@ -179,6 +181,7 @@ impl View3d {
             ms,
             device: Some(shown.device),
             size: shown.image.size,
+            is_draft: target == JobTarget::Coarse,
             step: shown.step,
             notices: shown.notices,
             blank: shown.blank,
