@@ -56,7 +56,7 @@ pub struct EngineOptions {
 }
 
 /// Slices composited inside one fragment while a view moves.
-const DRAFT_SLAB: u32 = 32;
+pub const DRAFT_SLAB: u32 = 32;
 
 /// The requested quality of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

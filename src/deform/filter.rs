@@ -261,6 +261,37 @@ mod tests {
         }
     }
 
+    /// Beyond the cube, where a map of a file reaches, eight points at once give the slopes of the
+    /// outermost texels, as single points do.
+    #[test]
+    fn slopes_beyond_the_cube_are_those_of_its_faces() {
+        struct Check<'a>(&'a DisplacementMap, &'a MapFilter);
+        impl SimdKernel for Check<'_> {
+            type Output = ();
+            fn run<S: Simd>(self, simd: S) {
+                let Self(map, filter) = self;
+                let all: Vec<Vec3> = points().map(|x| 1.1 * x - 0.05).collect();
+                for eight in all.chunks_exact(LANES) {
+                    let x = Vec3x8::from_lanes(simd, &std::array::from_fn(|n| eight[n]));
+                    let everywhere = mask32x8::splat(simd, true);
+                    let (_, slopes) = filter.derivatives_lanes(simd, map, x, everywhere);
+                    for (n, x) in eight.iter().enumerate() {
+                        let (_, slope) = filter.derivatives(map, *x);
+                        for axis in 0..3 {
+                            assert!((slopes[axis][3][n] - slope[axis]).abs() < 1e-3, "{x}");
+                        }
+                    }
+                }
+            }
+        }
+        let map = map(Storage::F32);
+        let filter = MapFilter {
+            slopes: Some(Arc::new(stored_slopes(&map, false))),
+            ..MapFilter::default()
+        };
+        with_simd(Check(&map, &filter));
+    }
+
     /// Eight points at once give the same values.
     #[test]
     fn lanes_are_points() {

@@ -143,7 +143,8 @@ impl SimdKernel for Whole<'_> {
     }
 }
 
-/// Interpolates the stored values of a volume, or evaluates its function; the outermost voxels extend half a voxel outwards.
+/// Interpolates the stored values of a volume, or evaluates its function; the outermost voxels extend
+/// half a voxel outwards.
 struct StoredInterpolator<'a> {
     volume: &'a Volume,
     interpolation: Interpolation,

@@ -28,6 +28,7 @@ pub(super) fn check_modifiers(deformation: &Deformation) -> Result<()> {
         let name = format!("{}: {name}", deformation.kind);
         Err(Error::value(name, problem))
     };
+    // The settings that name labels of that file.
     let names_labels = ["spare", "label", "stiffness"]
         .iter()
         .any(|name| settings.0.contains_key(*name));
@@ -59,7 +60,7 @@ pub(super) fn finished(map: PlacedMap, deformation: &Deformation, inputs: &Stack
     } else {
         map
     };
-    let fade_mm = fade_mm(deformation, placed.placement.size_mm())?;
+    let fade_mm = kinds::fade_mm(&deformation.parameters, 0.5 * placed.placement.size_mm())?;
     let spared = spared(deformation, inputs)?;
     if fade_mm > 0.0 && !placed.map.has_displacement() {
         return Err(Error::value(
@@ -94,18 +95,6 @@ fn with_map(placed: &PlacedMap, map: Arc<DisplacementMap>) -> PlacedMap {
         new = new.mapped_cylindrically();
     }
     new
-}
-
-/// The width over which a displacement fades, mm.
-fn fade_mm(deformation: &Deformation, box_mm: Vec3) -> Result<f32> {
-    let fade_mm = deformation.parameters.number("fade")?.unwrap_or(0.0);
-    let most = 0.5 * box_mm.max_element();
-    if (0.0..=most).contains(&fade_mm) {
-        Ok(fade_mm)
-    } else {
-        let problem = format!("{fade_mm} is outside 0 to {most} mm (half the longest edge of the box)");
-        Err(Error::value("fade", problem))
-    }
 }
 
 /// The distance to the spared labels, if there are any.

@@ -128,7 +128,8 @@ struct FacePoint {
     alphas: [f32; 2],
 }
 
-/// The largest distance, mm, between what the two sides of a face show, where it separates something visible.
+/// The largest distance, mm, between what the two sides of a face show, where it separates something
+/// visible.
 fn amount_on(map: &PlacedMap, face: usize, tolerance_mm: f32, separates: &dyn Fn(&FacePoint) -> bool) -> f32 {
     let axis = face / 2;
     let mut largest = 0.0f32;

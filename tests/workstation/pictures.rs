@@ -7,6 +7,7 @@
 
 use super::*;
 use egui::epaint::{ClippedShape, ColorImage, ImageData, Shape, TextureId};
+use incise::engine::DRAFT_SLAB;
 use incise::gui::state::shown::DisplayedPicture;
 use incise::gui::views::letters;
 use incise::prepare::{Assets, Deformed};
@@ -346,7 +347,7 @@ fn rendered(
     if facts.is_draft {
         scene.render.antialias = 1;
         if scene.render.mode == Mode::Slice {
-            scene.render.slab = scene.render.slab.max(32);
+            scene.render.slab = scene.render.slab.max(DRAFT_SLAB);
             scene.render.slice_order = SliceOrder::FrontToBack;
         }
     }

@@ -38,7 +38,7 @@ mod twist;
 mod wave;
 
 pub use super::field::{Backward, Field};
-pub use modifiers::{COMMON_SETTINGS, vary_everywhere};
+pub use modifiers::{COMMON_SETTINGS, fade_mm, vary_everywhere};
 pub use settings::{Setting, SettingFormat};
 
 use super::cut::CutShapeKind;

@@ -42,6 +42,21 @@ pub fn vary_everywhere(settings: &Arguments) -> bool {
         .any(|name| settings.0.contains_key(*name))
 }
 
+/// The width over which a displacement fades towards the faces of a box of half-edges `half_mm`, mm;
+/// 0 if it does not.
+///
+/// # Errors
+/// A width that is no number from 0 to half the longest edge.
+pub fn fade_mm(settings: &Arguments, half_mm: Vec3) -> Result<f32> {
+    let fade_mm = settings.number("fade")?.unwrap_or(0.0);
+    let most = half_mm.max_element();
+    if (0.0..=most).contains(&fade_mm) {
+        return Ok(fade_mm);
+    }
+    let problem = format!("{fade_mm} is outside 0 to {most} mm (half the longest edge of the box)");
+    Err(Error::value("fade", problem))
+}
+
 /// The field with the modifiers requested by the settings.
 pub(super) fn apply(
     field: Box<dyn Field>,
@@ -49,28 +64,18 @@ pub(super) fn apply(
     inputs: &FieldInputs,
 ) -> Result<Box<dyn Field>> {
     let mut field = field;
-    if let Some(fade_mm) = inputs.settings.number("fade")? {
-        let half = context.half() * context.cube_scale;
-        if !(0.0..=half.max_element()).contains(&fade_mm) {
-            return Err(Error::value(
-                "fade",
-                format!(
-                    "{fade_mm} is outside 0 to {} mm (half the longest edge of the box)",
-                    half.max_element()
-                ),
-            ));
-        }
-        if fade_mm > 0.0 {
-            field = Box::new(Faded {
-                inner: field,
-                half,
-                fade_mm,
-                cylinder_mm: inputs
-                    .cylinder
-                    .as_ref()
-                    .map(|c| Vec2::new(c.cylinder.box_mm.z, c.cylinder.radius_mm)),
-            });
-        }
+    let half = context.half() * context.cube_scale;
+    let fade_mm = fade_mm(inputs.settings, half)?;
+    if fade_mm > 0.0 {
+        field = Box::new(Faded {
+            inner: field,
+            half,
+            fade_mm,
+            cylinder_mm: inputs
+                .cylinder
+                .as_ref()
+                .map(|c| Vec2::new(c.cylinder.box_mm.z, c.cylinder.radius_mm)),
+        });
     }
     if let Some(labels) = inputs.settings.whole("spare")? {
         let distance = inputs.library.label_distance(inputs.settings, "spare", &labels)?;
