@@ -47,7 +47,7 @@ pub(super) fn notices(tears: &[Tear]) -> Vec<String> {
         format!(
             "{}: visible material is torn at the {} of its box; enlarge or move the box so that nothing is visible there{fade}",
             tears[0].deformation,
-            faces.join(", "),
+            faces.join(" and "),
         )
     };
     tears
