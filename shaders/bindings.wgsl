@@ -27,6 +27,9 @@
 // The volume's central differences; see src/volume/gradient.rs.
 @group(0) @binding(19) var gradients: texture_3d<f32>;
 
+// Positions of listed samples on the picture, pixels.
+@group(0) @binding(20) var sample_positions: texture_2d<f32>;
+
 // Distance of a pixel without a surface.
 const FAR_AWAY: f32 = 1e30;
 
@@ -34,6 +37,8 @@ const FAR_AWAY: f32 = 1e30;
 override COLORS: u32 = 0u;
 // 1: there are surfaces behind the volume.
 override BEHIND: u32 = 0u;
+// 1: what is drawn is not a picture but a list of samples of one, row by row.
+override LISTED: u32 = 0u;
 // Number of analytic cut shapes.
 override CUTS: u32 = 8u;
 // 1: cut faces are painted grey.
@@ -136,6 +141,14 @@ fn fetch_slopes(k: u32, x: vec3<f32>, axis: f32) -> vec4<f32> {
         slopes = sample_atlas(maps_half, k, origin, p);
     }
     return vec4<f32>(slopes.xyz * maps[k].slopes_scale, slopes.w);
+}
+
+// Where on the picture the sample of a pixel lies.
+fn sample_position(pixel: vec2<f32>) -> vec2<f32> {
+    if LISTED == 0u {
+        return pixel;
+    }
+    return textureLoad(sample_positions, vec2<i32>(pixel), 0).rg;
 }
 
 fn table_entry(i: i32, row: i32) -> vec4<f32> {

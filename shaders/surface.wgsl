@@ -8,7 +8,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
 
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> Drawn {
-    let ray = pixel_ray(position.xy);
+    let ray = pixel_ray(sample_position(position.xy));
     var taken = 0u;
     let event = trace(ray, &taken);
     count(position.xy, vec3<u32>(taken, 0u, 0u));

@@ -22,7 +22,7 @@ use crate::picture::StageTimes;
 use crate::prepare::{AssetKey, Assets, LoadOptions, PrepareOptions, Prepared};
 #[cfg(feature = "gpu")]
 use crate::render::Renderer;
-use crate::scene::{Mode, Scene, SliceOrder};
+use crate::scene::{Antialias, Mode, Scene, SliceOrder};
 use crate::{Error, Result, Watch, cpu};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -82,7 +82,7 @@ impl Quality {
         let mut draft = scene.clone();
         draft.render.size = draft.render.size.map(|n| ((n as f32 / scale) as u32).max(16));
         draft.render.step = (draft.render.step * if scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
-        draft.render.antialias = 1;
+        draft.render.antialias = Antialias::OFF;
         if draft.render.mode == Mode::Slice {
             draft.render.slab = draft.render.slab.max(DRAFT_SLAB);
             draft.render.slice_order = SliceOrder::FrontToBack;

@@ -1,5 +1,7 @@
 //! Pictures as every renderer returns them, with their cost: time by stage and samples.
 
+pub mod antialias;
+
 use crate::files::OutputFile;
 use crate::math::lanes::*;
 use crate::{Error, Result};
@@ -61,6 +63,17 @@ pub struct RenderStats {
     pub samples_skipped: u64,
     /// Samples omitted because the ray was already opaque.
     pub samples_terminated: u64,
+}
+
+impl RenderStats {
+    /// The counts of both.
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            samples_taken: self.samples_taken + other.samples_taken,
+            samples_skipped: self.samples_skipped + other.samples_skipped,
+            samples_terminated: self.samples_terminated + other.samples_terminated,
+        }
+    }
 }
 
 /// A picture with its cost.

@@ -4,7 +4,7 @@ use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
 use crate::scenes::{assets, load};
 use incise::prepare::Prepared;
-use incise::scene::{Deformation, JacobianSource, MapFiltering, Mode, Scene};
+use incise::scene::{Antialias, Deformation, JacobianSource, MapFiltering, Mode, Scene};
 
 /// Scenes with maps of every kind: formulas, cuts, features of a surface, round an axis; volumes and
 /// surfaces.
@@ -20,7 +20,7 @@ fn scenes() -> Vec<(String, Scene)> {
     all.push(("a slab round an axis".into(), scene));
     for (_, scene) in &mut all {
         scene.render.size = [128, 128];
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
     }
     all
 }

@@ -12,7 +12,7 @@ use incise::cpu;
 use incise::gpu::{AdapterPreference, Device};
 use incise::prepare::{PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy};
-use incise::scene::{CutFaces, Deformation, IsoLight, Mode, Scene};
+use incise::scene::{Antialias, CutFaces, Deformation, IsoLight, Mode, Scene};
 use incise::transfer::{Blend, GradientPoint};
 use incise::volume::GradientFilter;
 use libtest_mimic::Trial;
@@ -207,7 +207,7 @@ fn scene_agrees(name: &str, mode: Mode) {
     let mut scene = scenes::load(name);
     scene.render.mode = mode;
     scene.render.size = [192, 192];
-    scene.render.antialias = 1;
+    scene.render.antialias = Antialias::OFF;
     let assets = scenes::assets(&scene);
     agree(
         &format!("{name} {mode:?}"),
@@ -448,7 +448,7 @@ fn strategies_agree() {
     use incise::scene::surface::Representation;
     let scene = |name: &str, mode: Mode| {
         let mut scene = scenes::load(name);
-        (scene.render.mode, scene.render.size, scene.render.antialias) = (mode, [128, 128], 1);
+        (scene.render.mode, scene.render.size, scene.render.antialias) = (mode, [128, 128], Antialias::OFF);
         scene
     };
     let mut in_front = scene("head-with-nuclei", Mode::Raycast);

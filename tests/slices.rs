@@ -5,7 +5,7 @@ use crate::metrics::{STEP, difference};
 use crate::scenes::{assets, load};
 use incise::prepare::{Assets, Prepared};
 use incise::scene::surface::Steps;
-use incise::scene::{BlendFormat, Mode, Projection, Scene, SliceOrder};
+use incise::scene::{Antialias, BlendFormat, Mode, Projection, Scene, SliceOrder};
 
 /// Scenes with maps, cuts, holes and both kinds of volumes.
 const SCENES: [&str; 6] = [
@@ -21,7 +21,7 @@ const SCENES: [&str; 6] = [
 fn without_early_end(name: &str) -> (Scene, Assets) {
     let mut scene = load(name);
     scene.render.size = [160, 160];
-    scene.render.antialias = 1;
+    scene.render.antialias = Antialias::OFF;
     scene.render.early_termination = false;
     let assets = assets(&scene);
     (scene, assets)

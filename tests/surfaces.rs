@@ -11,7 +11,7 @@ use incise::mesh::{Mesh, shapes};
 use incise::picture::Picture;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::surface::{CutModel, MeshSource, ShapeSource, Steps};
-use incise::scene::{Deformation, Mode, Projection, Scene};
+use incise::scene::{Antialias, Deformation, Mode, Projection, Scene};
 use incise::transfer::{Blend, ControlPoint};
 use std::path::{Path, PathBuf};
 
@@ -342,7 +342,7 @@ pub fn two_stages_are_one_picture() {
         ("a ball", ball, true),
     ] {
         scene.render.size = [256, 256];
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         let two = render(&scene);
         scene.surface.two_stage = false;
         let one = render(&scene);
@@ -578,7 +578,7 @@ pub fn depth_map_cube_shows_the_field() {
     let mut scene = scenes::load("bunny-twist");
     scene.deformation.clear();
     scene.render.size = [128, 128];
-    scene.render.antialias = 1;
+    scene.render.antialias = Antialias::OFF;
     let by_field = render(&scene);
     scene.mesh[0].representation = Some(incise::scene::surface::Representation::DepthMapCube);
     let assets: Assets = scenes::assets(&scene);

@@ -5,10 +5,12 @@ struct Ray {
     direction: vec3<f32>,
 }
 
-// The ray through a pixel's centre; pixel in 0 .. picture, y pointing down.
-fn pixel_ray(pixel: vec2<f32>) -> Ray {
-    let u = pixel.x / frame.picture.x * 2.0 - 1.0;
-    let v = 1.0 - pixel.y / frame.picture.y * 2.0;
+// The ray through a position on the picture, in 0 .. picture, y pointing down, or through the same
+// position of every pixel.
+fn pixel_ray(position: vec2<f32>) -> Ray {
+    let at = position + frame.sample_offset;
+    let u = at.x / frame.picture.x * 2.0 - 1.0;
+    let v = 1.0 - at.y / frame.picture.y * 2.0;
     let across = frame.right * u + frame.up * v;
     if frame.perspective > 0.5 {
         return Ray(frame.eye, normalize(frame.forward + across));

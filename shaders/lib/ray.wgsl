@@ -1,7 +1,8 @@
 // The ray of one pixel, front to back.
 
 // Premultiplied, composited over the surfaces behind; takes the position of the pixel's centre.
-fn ray_color(position: vec2<f32>) -> vec4<f32> {
+fn ray_color(pixel: vec2<f32>) -> vec4<f32> {
+    let position = sample_position(pixel);
     var ray = pixel_ray(position);
     // Samples are shifted by moving the origin of the ray.
     let shift = pixel_shift(vec2<u32>(position)) * frame.step_mm;
@@ -9,15 +10,15 @@ fn ray_color(position: vec2<f32>) -> vec4<f32> {
     var range = proxy_range(ray.origin, reciprocals(ray.direction));
     var surface = vec4<f32>(0.0);
     if BEHIND != 0u {
-        range.y = min(range.y, textureLoad(behind_t, vec2<i32>(position), 0).r - shift);
-        surface = textureLoad(behind, vec2<i32>(position), 0);
+        range.y = min(range.y, textureLoad(behind_t, vec2<i32>(pixel), 0).r - shift);
+        surface = textureLoad(behind, vec2<i32>(pixel), 0);
     }
     if range.x > range.y {
         return surface;
     }
     let step = frame.step_mm;
     let all = composite(
-        position, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step
+        pixel, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step
     );
     var color = all.color;
     if BLEND != BLEND_COMPOSITE {

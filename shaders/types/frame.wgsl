@@ -60,6 +60,9 @@ struct Frame {
     // 1 / texture_size.
     per_texture_size: vec3<f32>,
     padding: f32,
+    // Where in its pixel every sample of a pass lies, pixels from the centre.
+    sample_offset: vec2<f32>,
+    more_padding: vec2<f32>,
 }
 
 // An analytic cut shape (src/deform/cut.rs).

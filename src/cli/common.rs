@@ -6,7 +6,7 @@ use crate::files::OutputFile;
 use crate::files::path_text::{path_of, text_of};
 use crate::prepare::{Assets, IdleSetting, LoadOptions};
 use crate::scene::surface::CutModel;
-use crate::scene::{Camera, InsideMesh, Mode, Projection, Scene, View};
+use crate::scene::{Antialias, Camera, InsideMesh, Mode, Projection, Scene, View};
 use crate::volume::load::Origin;
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -71,9 +71,10 @@ pub struct Common {
     /// Slices composited inside one fragment (mode slice); 1 draws one polygon per slice.
     #[arg(long, value_name = "N")]
     slab: Option<u32>,
-    /// Antialias with N by N samples per pixel (1 to 4).
-    #[arg(long, value_name = "N")]
-    antialias: Option<u32>,
+    /// adaptive: more samples where pixels differ from their neighbours. A number: N by N samples
+    /// in every pixel (1 to 4).
+    #[arg(long, value_name = "adaptive|N")]
+    antialias: Option<Antialias>,
     /// anterior, posterior, left, right, superior, inferior or AZ,EL in degrees.
     #[arg(long, allow_hyphen_values = true, value_parser = |t: &str| t.parse::<View>())]
     pub camera: Option<View>,

@@ -4,7 +4,7 @@
 use super::method::RendererOptions;
 use super::run::mode_name;
 use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
-use crate::scene::{Camera, Mode, Scene};
+use crate::scene::{Antialias, Camera, Mode, Scene};
 use crate::{Error, Result};
 use std::collections::BTreeSet;
 
@@ -174,7 +174,7 @@ impl Plan {
                 format!("{w}x{h} is out of range; each edge must be 1 to {MAX_PICTURE_EDGE} pixels"),
             ));
         }
-        let antialias = self.scene.render.antialias.clamp(1, 4);
+        let antialias = self.scene.render.antialias.grid().clamp(1, Antialias::MAX_GRID);
         let too_large = |[w, h]: &&[u32; 2]| {
             let [w, h] = [w.saturating_mul(antialias), h.saturating_mul(antialias)];
             w.max(h) > MAX_PICTURE_EDGE || u64::from(w) * u64::from(h) > MAX_PIXELS

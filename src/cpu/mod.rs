@@ -33,6 +33,7 @@ mod outline;
 mod packet;
 mod packet_shading;
 pub mod pick;
+mod refine;
 pub mod section;
 pub mod shading;
 mod slices;
@@ -41,7 +42,7 @@ pub mod surface;
 use crate::math::lanes::*;
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
-use crate::scene::Mode;
+use crate::scene::{Antialias, Mode};
 use crate::transfer::Blend;
 use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
 use crate::{Result, Watch};
@@ -107,7 +108,7 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, StageT
             watch,
         ),
     });
-    (picture.reduced(scene.settings.antialias), stats, stages)
+    (picture.reduced(scene.settings.antialias.grid()), stats, stages)
 }
 
 /// Some whole rows of a picture.
@@ -166,19 +167,16 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
             (watch.progress)((rows as f32 / height as f32).min(1.0));
             stats
         })
-        .reduce(RenderStats::default, |a, b| RenderStats {
-            samples_taken: a.samples_taken + b.samples_taken,
-            samples_skipped: a.samples_skipped + b.samples_skipped,
-            samples_terminated: a.samples_terminated + b.samples_terminated,
-        });
-    (
-        Picture {
-            width,
-            height,
-            pixels,
-        },
-        stats,
-    )
+        .reduce(RenderStats::default, RenderStats::plus);
+    let picture = Picture {
+        width,
+        height,
+        pixels,
+    };
+    match scene.settings.antialias {
+        Antialias::Adaptive => refine::refined(&sampler, slicer.as_ref(), picture, stats, watch),
+        Antialias::Grid(_) => (picture, stats),
+    }
 }
 
 /// A strip drawn by rays.
@@ -193,58 +191,135 @@ impl<T: Voxel> SimdKernel for RayStrip<'_, T> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> RenderStats {
         let Self { sampler, strip } = self;
-        let scene = sampler.scene;
-        let frame = &scene.frame;
-        let [width, height] = frame.size.map(|n| n as usize);
+        let width = sampler.scene.frame.size[0] as usize;
         let (mut stats, mut fetch_policy) = (RenderStats::default(), FetchPolicy::default());
         let rows = strip.pixels.len() / width;
-        let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
-        let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
         let seen = |y: &usize| strip.top + y + 1 >= strip.lines[0] && strip.top + y < strip.lines[1];
         // Columns of packets: each packet finds in the cache what the one above it has fetched.
         let columns = (strip.columns[0] / 4 * 4..strip.columns[1]).step_by(4);
         for (y, x) in columns.flat_map(|x| (0..rows).step_by(2).filter(seen).map(move |y| (y, x))) {
-            let u = (across + x as f32) / width as f32 * 2.0 - 1.0;
-            let v = f32x8::splat(simd, 1.0) - (down + (strip.top + y) as f32) / height as f32 * 2.0;
-            let (origin, direction) = frame.view.rays(simd, u, v);
-            let mut rays = RayPacket {
-                origin,
-                direction,
-                until: f32x8::splat(simd, f32::INFINITY),
-            };
-            let wanted = |n: usize| x + n % 4 < width && y + n / 4 < rows;
-            let mut behind = [None; LANES];
-            if !scene.surfaces.objects.is_empty() {
-                for n in (0..LANES).filter(|n| wanted(*n)) {
-                    behind[n] =
-                        surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
-                    rays.until[n] = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
-                }
-            }
-            if scene.settings.jitter {
-                for n in 0..LANES {
-                    // Samples are shifted by moving the origin of the ray.
-                    let shift = pixel_shift((x + n % 4) as u32, (strip.top + y + n / 4) as u32)
-                        * frame.spacing.step_mm;
-                    rays.origin.set(n, origin.lane(n) + direction.lane(n) * shift);
-                    rays.until[n] = (rays.until[n] - shift).max(0.0);
-                }
-            }
-            for n in (0..LANES).filter(|n| !wanted(*n)) {
-                rays.until[n] = -1.0;
-            }
-            let colors = sampler.march(simd, rays, &mut stats, &mut fetch_policy);
-            for n in (0..LANES).filter(|n| wanted(*n)) {
-                let [r, g, b, a] = colors[n];
-                strip.pixels[(y + n / 4) * width + x + n % 4] = match &behind[n] {
-                    Some(hit) => (Vec3::new(r, g, b) + hit.color * (1.0 - a))
-                        .extend(1.0)
-                        .to_array(),
-                    None => colors[n],
-                };
+            let place = Positions::block(simd, x, strip.top + y, [width, strip.top + rows]);
+            let colors = sampler.trace(simd, &place, &mut stats, &mut fetch_policy);
+            for n in (0..LANES).filter(|n| place.wanted[*n]) {
+                strip.pixels[(y + n / 4) * width + x + n % 4] = colors[n];
             }
         }
         stats
+    }
+}
+
+/// Eight positions on the picture.
+struct Positions<S: Simd> {
+    /// Pixels from the left and from the top.
+    x: f32x8<S>,
+    y: f32x8<S>,
+    /// Which of them are drawn.
+    wanted: [bool; LANES],
+}
+
+impl<S: Simd> Positions<S> {
+    /// The centres of four by two pixels from (x, y) on; those inside of `end` are drawn.
+    #[inline(always)]
+    fn block(simd: S, x: usize, y: usize, end: [usize; 2]) -> Self {
+        let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
+        let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
+        Self {
+            x: across + x as f32,
+            y: down + y as f32,
+            wanted: std::array::from_fn(|n| x + n % 4 < end[0] && y + n / 4 < end[1]),
+        }
+    }
+
+    /// The first eight of some positions; the rest of a shorter list is not drawn.
+    #[inline(always)]
+    fn of_list(simd: S, list: &[[f32; 2]]) -> Self {
+        let of_lane = |n: usize, axis: usize| list[n.min(list.len() - 1)][axis];
+        Self {
+            x: f32x8::load_array(simd, std::array::from_fn(|n| of_lane(n, 0))),
+            y: f32x8::load_array(simd, std::array::from_fn(|n| of_lane(n, 1))),
+            wanted: std::array::from_fn(|n| n < list.len()),
+        }
+    }
+
+    /// A pixel's shift of its samples along its ray, steps.
+    fn shift(&self, lane: usize) -> f32 {
+        pixel_shift(self.x[lane] as u32, self.y[lane] as u32)
+    }
+
+    /// Coordinates in the picture, -1 to 1, upwards.
+    #[inline(always)]
+    fn uv(&self, simd: S, [width, height]: [u32; 2]) -> [f32x8<S>; 2] {
+        let one = f32x8::splat(simd, 1.0);
+        [
+            self.x / width as f32 * 2.0 - 1.0,
+            one - self.y / height as f32 * 2.0,
+        ]
+    }
+}
+
+impl<T: Voxel> PacketSampler<'_, T> {
+    /// The colours of eight positions by rays, premultiplied. One copy for whole pictures and for
+    /// single samples.
+    #[inline(never)]
+    fn trace<S: Simd>(
+        &self,
+        simd: S,
+        place: &Positions<S>,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> [[f32; 4]; LANES] {
+        simd.vectorize(
+            #[inline(always)]
+            || self.trace_inlined(simd, place, stats, fetch_policy),
+        )
+    }
+
+    #[inline(always)]
+    fn trace_inlined<S: Simd>(
+        &self,
+        simd: S,
+        place: &Positions<S>,
+        stats: &mut RenderStats,
+        fetch_policy: &mut FetchPolicy,
+    ) -> [[f32; 4]; LANES] {
+        let scene = self.scene;
+        let frame = &scene.frame;
+        let [u, v] = place.uv(simd, frame.size);
+        let (origin, direction) = frame.view.rays(simd, u, v);
+        let mut rays = RayPacket {
+            origin,
+            direction,
+            until: f32x8::splat(simd, f32::INFINITY),
+        };
+        let mut behind = [None; LANES];
+        if !scene.surfaces.objects.is_empty() {
+            for n in (0..LANES).filter(|n| place.wanted[*n]) {
+                behind[n] =
+                    surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
+                rays.until[n] = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
+            }
+        }
+        if scene.settings.jitter {
+            for n in 0..LANES {
+                // Samples are shifted by moving the origin of the ray.
+                let shift = place.shift(n) * frame.spacing.step_mm;
+                rays.origin.set(n, origin.lane(n) + direction.lane(n) * shift);
+                rays.until[n] = (rays.until[n] - shift).max(0.0);
+            }
+        }
+        for n in (0..LANES).filter(|n| !place.wanted[*n]) {
+            rays.until[n] = -1.0;
+        }
+        let mut colors = self.march(simd, rays, stats, fetch_policy);
+        for (color, hit) in colors.iter_mut().zip(behind) {
+            if let Some(hit) = hit {
+                let [r, g, b, a] = *color;
+                *color = (Vec3::new(r, g, b) + hit.color * (1.0 - a))
+                    .extend(1.0)
+                    .to_array();
+            }
+        }
+        colors
     }
 }
 

@@ -20,11 +20,11 @@
 //!
 //! `shaders/slice.wgsl` contains what one fragment does; the rasteriser is the GPU's own.
 
-use super::found::{FetchPolicy, FoundSamples, pixel_shift};
+use super::found::{FetchPolicy, FoundSamples};
 use super::outline::{Edge, Outline};
 use super::packet::PacketSampler;
 use super::packet_shading::{PreviousSamples, ShadingRays};
-use super::{IntensityProjection, MIN_TRANSMITTANCE, Strip, surface};
+use super::{IntensityProjection, MIN_TRANSMITTANCE, Positions, Strip, surface};
 use crate::math::Bounds;
 use crate::math::lanes::*;
 use crate::picture::RenderStats;
@@ -79,13 +79,9 @@ pub(super) struct SliceStrip<'a, T> {
     pub(super) strip: Strip<'a>,
 }
 
-/// Eight pixels, four across and two down, and what has been composited there.
+/// Eight positions on the picture, and what has been composited there.
 struct PixelPacket<S: Simd> {
-    /// The upper left pixel.
-    x: usize,
-    y: usize,
-    /// Centres, pixels.
-    center: [f32x8<S>; 2],
+    place: Positions<S>,
     /// Positions at depth z are origin + z across.
     origin: Vec3x8<S>,
     across: Vec3x8<S>,
@@ -97,6 +93,8 @@ struct PixelPacket<S: Simd> {
     shift: f32x8<S>,
     /// Depth at which something opaque hides the slices, mm; negative outside the picture.
     until: f32x8<S>,
+    /// Colours of surfaces behind the volume.
+    behind: [Option<Vec3>; LANES],
     /// Premultiplied.
     color: Vec3x8<S>,
     alpha: f32x8<S>,
@@ -111,20 +109,15 @@ impl<S: Simd> PixelPacket<S> {
     }
 }
 
-/// Some columns of a strip.
+/// Positions that lie close together.
 struct Tile<S: Simd> {
     packets: Vec<PixelPacket<S>>,
-    /// Corners, pixels.
-    low: Vec2,
-    high: Vec2,
-    /// The first column.
-    left: usize,
+    /// Corners of their rectangle, pixels.
+    corners: [Vec2; 4],
     /// Lines through the corners: at depth z they are at the first plus z times the second.
     lines: [(Vec3, Vec3); 4],
     /// Distance by which samples may be moved, mm.
     shift_mm: f32,
-    /// Colours of surfaces behind the volume, row by row; empty if the scene has none.
-    surfaces: Vec<Option<Vec3>>,
 }
 
 impl<S: Simd> Tile<S> {
@@ -138,14 +131,6 @@ impl<S: Simd> Tile<S> {
             .map(|p| Bounds::new(p, p))
             .fold(Bounds::EMPTY, |all, p| all.union(&p))
             .grown(self.shift_mm)
-    }
-
-    /// The colour of the surface behind a pixel of the strip, if there is one.
-    fn behind(&self, x: usize, y: usize) -> Option<Vec3> {
-        self.surfaces
-            .get(y * TILE_COLUMNS + x - self.left)
-            .copied()
-            .flatten()
     }
 }
 
@@ -162,22 +147,61 @@ impl<T: Voxel> SimdKernel for SliceStrip<'_, T> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> RenderStats {
-        let Self { slicer, mut strip } = self;
+        let Self { slicer, strip } = self;
+        let width = slicer.sampler.scene.frame.size[0] as usize;
+        let rows = strip.pixels.len() / width;
         let mut stats = RenderStats::default();
         let [first, last] = strip.columns;
+        let seen = |y: &usize| strip.top + y + 1 >= strip.lines[0] && strip.top + y < strip.lines[1];
         for left in (first / TILE_COLUMNS * TILE_COLUMNS..last).step_by(TILE_COLUMNS) {
-            slicer.draw_tile(simd, &mut strip, left, &mut stats);
+            let right = (left + TILE_COLUMNS).min(last);
+            let blocks: Vec<_> = (0..rows)
+                .step_by(2)
+                .filter(seen)
+                .flat_map(|y| (left..right).step_by(4).map(move |x| (x, y)))
+                .collect();
+            if blocks.is_empty() {
+                continue;
+            }
+            let end = [width, strip.top + rows];
+            let places = blocks
+                .iter()
+                .map(|&(x, y)| Positions::block(simd, x, strip.top + y, end))
+                .collect();
+            for ((x, y), colors) in blocks.iter().zip(slicer.draw(simd, places, &mut stats)) {
+                for n in (0..LANES).filter(|n| x + n % 4 < width && y + n / 4 < rows) {
+                    strip.pixels[(y + n / 4) * width + x + n % 4] = colors[n];
+                }
+            }
         }
         stats
     }
 }
 
 impl<T: Voxel> Slicer<'_, T> {
-    /// Draws a tile of a strip, from a column on.
+    /// The colours of positions that lie close together, premultiplied. One copy for whole pictures
+    /// and for single samples.
+    #[inline(never)]
+    pub(super) fn draw<S: Simd>(
+        &self,
+        simd: S,
+        places: Vec<Positions<S>>,
+        stats: &mut RenderStats,
+    ) -> Vec<[[f32; 4]; LANES]> {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                let mut tile = self.tile(simd, places, stats);
+                self.draw_tile(simd, &mut tile, stats);
+                tile.packets.iter().map(|pixels| self.colors(pixels)).collect()
+            },
+        )
+    }
+
+    /// Draws all slices of a tile.
     #[inline(always)]
-    fn draw_tile<S: Simd>(&self, simd: S, strip: &mut Strip, left: usize, stats: &mut RenderStats) {
+    fn draw_tile<S: Simd>(&self, simd: S, tile: &mut Tile<S>, stats: &mut RenderStats) {
         let front_to_back = self.sampler.scene.slice_order() == SliceOrder::FrontToBack;
-        let mut tile = self.tile(simd, strip, left, stats);
         let mut fetch_policy = FetchPolicy::default();
         let slabs = &self.slices.slabs;
         for n in 0..slabs.len() {
@@ -186,143 +210,125 @@ impl<T: Voxel> Slicer<'_, T> {
             } else {
                 &slabs[slabs.len() - 1 - n]
             };
-            let is_open = self.draw_slab(simd, &mut tile, slab, stats, &mut fetch_policy);
+            let is_open = self.draw_slab(simd, tile, slab, stats, &mut fetch_policy);
             if !is_open {
                 break;
             }
         }
-        let width = self.sampler.scene.frame.size[0] as usize;
-        let rows = strip.pixels.len() / width;
-        for pixels in &tile.packets {
-            for n in 0..LANES {
-                let (x, y) = (pixels.x + n % 4, pixels.y + n / 4);
-                if x < width && y < rows {
-                    strip.pixels[y * width + x] = self.pixel(pixels, &tile, x, y, n);
-                }
-            }
-        }
     }
 
-    /// The colour of a pixel when all slices have been drawn, premultiplied.
-    fn pixel<S: Simd>(
-        &self,
-        pixels: &PixelPacket<S>,
-        tile: &Tile<S>,
-        x: usize,
-        y: usize,
-        lane: usize,
-    ) -> [f32; 4] {
+    /// The colours of a packet when all slices have been drawn, premultiplied.
+    fn colors<S: Simd>(&self, pixels: &PixelPacket<S>) -> [[f32; 4]; LANES] {
         let scene = self.sampler.scene;
-        let [r, g, b, a] = if self.sampler.composite {
-            let color = pixels.color.lane(lane);
-            [color.x, color.y, color.z, pixels.alpha[lane]]
-        } else {
-            pixels.projection.color(scene, lane)
-        };
         let drawn_over = self.sampler.composite && scene.slice_order() == SliceOrder::BackToFront;
-        match tile.behind(x, y) {
-            Some(color) if !drawn_over => (Vec3::new(r, g, b) + color * (1.0 - a)).extend(1.0).to_array(),
-            _ => [r, g, b, a],
-        }
+        std::array::from_fn(|n| {
+            let [r, g, b, a] = if self.sampler.composite {
+                let color = pixels.color.lane(n);
+                [color.x, color.y, color.z, pixels.alpha[n]]
+            } else {
+                pixels.projection.color(scene, n)
+            };
+            match pixels.behind[n] {
+                Some(color) if !drawn_over => (Vec3::new(r, g, b) + color * (1.0 - a)).extend(1.0).to_array(),
+                _ => [r, g, b, a],
+            }
+        })
     }
 
-    /// The pixels of a tile before the first slice: surfaces behind the volume are already there.
+    /// A tile before the first slice: surfaces behind the volume are already there.
     #[inline(always)]
-    fn tile<S: Simd>(&self, simd: S, strip: &Strip, left: usize, stats: &mut RenderStats) -> Tile<S> {
+    fn tile<S: Simd>(&self, simd: S, places: Vec<Positions<S>>, stats: &mut RenderStats) -> Tile<S> {
         let scene = self.sampler.scene;
         let frame = &scene.frame;
-        let [width, height] = frame.size.map(|n| n as usize);
-        let rows = strip.pixels.len() / width;
-        let right = (left + TILE_COLUMNS).min(strip.columns[1]);
-        let mut tile = Tile {
-            packets: Vec::with_capacity(TILE_COLUMNS / 4 * rows.div_ceil(2)),
-            low: Vec2::new(left as f32, strip.top as f32),
-            high: Vec2::new((left + TILE_COLUMNS) as f32, (strip.top + rows) as f32),
-            left,
-            lines: [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[i, j]| {
-                let u = (left + i * TILE_COLUMNS) as f32 / width as f32 * 2.0 - 1.0;
-                let v = 1.0 - (strip.top + j * rows) as f32 / height as f32 * 2.0;
-                frame.view.across(u, v)
-            }),
+        let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
+        for place in &places {
+            for n in 0..LANES {
+                let p = Vec2::new(place.x[n], place.y[n]);
+                (low, high) = (low.min(p), high.max(p));
+            }
+        }
+        let corners = [low, Vec2::new(high.x, low.y), high, Vec2::new(low.x, high.y)];
+        let [width, height] = frame.size.map(|n| n as f32);
+        let lines = corners.map(|p| {
+            frame
+                .view
+                .across(p.x / width * 2.0 - 1.0, 1.0 - p.y / height * 2.0)
+        });
+        let packets = places
+            .into_iter()
+            .map(
+                #[inline(always)]
+                |place| self.pixel_packet(simd, place, stats),
+            )
+            .collect();
+        Tile {
+            packets,
+            corners,
+            lines,
             shift_mm: if scene.settings.jitter {
                 0.5 * frame.spacing.step_mm * frame.view.longest_slant()
             } else {
                 0.0
             },
-            surfaces: Vec::new(),
-        };
-        let shows_surfaces = scene.has_surfaces_behind();
-        if shows_surfaces {
-            tile.surfaces = vec![None; TILE_COLUMNS * rows];
         }
-        let across = f32x8::load_array(simd, [0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5]);
-        let down = f32x8::load_array(simd, [0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5]);
-        let seen = |y: &usize| strip.top + y + 1 >= strip.lines[0] && strip.top + y < strip.lines[1];
+    }
+
+    /// A packet before the first slice.
+    #[inline(always)]
+    fn pixel_packet<S: Simd>(&self, simd: S, place: Positions<S>, stats: &mut RenderStats) -> PixelPacket<S> {
+        let scene = self.sampler.scene;
+        let frame = &scene.frame;
         let zero = f32x8::splat(simd, 0.0);
-        for (y, x) in (0..rows)
-            .step_by(2)
-            .filter(seen)
-            .flat_map(|y| (left..right).step_by(4).map(move |x| (y, x)))
-        {
-            let center = [across + x as f32, down + (strip.top + y) as f32];
-            let u = center[0] / width as f32 * 2.0 - 1.0;
-            let v = f32x8::splat(simd, 1.0) - center[1] / height as f32 * 2.0;
-            let (origin, direction) = frame.view.rays(simd, u, v);
-            let forward = Vec3x8::splat(simd, frame.view.forward);
-            let slant = direction.dot(forward);
-            let step = f32x8::splat(simd, frame.spacing.step_mm) / slant;
-            let to_picture =
-                Vec3x8::splat(simd, frame.view.right) * u + Vec3x8::splat(simd, frame.view.up) * v;
-            let mut pixels = PixelPacket {
-                x,
-                y,
-                center,
-                origin,
-                across: match frame.view.projection {
-                    Projection::Perspective => forward + to_picture,
-                    Projection::Orthographic => forward,
-                },
-                rays: ShadingRays {
-                    direction,
-                    half: (Vec3x8::splat(simd, frame.to_light) - direction).normalized(),
-                    step,
-                },
-                length: step * frame.spacing.reference_mm.recip(),
-                shift: zero,
-                until: f32x8::splat(simd, f32::INFINITY),
-                color: Vec3x8::splat(simd, Vec3::ZERO),
-                alpha: zero,
-                projection: IntensityProjection::new(simd, scene.volume().blend),
-            };
-            for n in 0..LANES {
-                let (px, py) = (x + n % 4, y + n / 4);
-                if px >= width || py >= rows {
-                    pixels.until[n] = -1.0;
-                    continue;
-                }
-                if scene.settings.jitter {
-                    pixels.shift[n] = pixel_shift(px as u32, (strip.top + py) as u32) * step[n];
-                }
-                if !shows_surfaces {
-                    continue;
-                }
-                let hit =
-                    surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
-                if let Some(hit) = hit {
-                    pixels.until[n] = (hit.t - pixels.shift[n]) * slant[n];
+        let [u, v] = place.uv(simd, frame.size);
+        let (origin, direction) = frame.view.rays(simd, u, v);
+        let forward = Vec3x8::splat(simd, frame.view.forward);
+        let slant = direction.dot(forward);
+        let step = f32x8::splat(simd, frame.spacing.step_mm) / slant;
+        let to_picture = Vec3x8::splat(simd, frame.view.right) * u + Vec3x8::splat(simd, frame.view.up) * v;
+        let mut pixels = PixelPacket {
+            place,
+            origin,
+            across: match frame.view.projection {
+                Projection::Perspective => forward + to_picture,
+                Projection::Orthographic => forward,
+            },
+            rays: ShadingRays {
+                direction,
+                half: (Vec3x8::splat(simd, frame.to_light) - direction).normalized(),
+                step,
+            },
+            length: step * frame.spacing.reference_mm.recip(),
+            shift: zero,
+            until: f32x8::splat(simd, f32::INFINITY),
+            behind: [None; LANES],
+            color: Vec3x8::splat(simd, Vec3::ZERO),
+            alpha: zero,
+            projection: IntensityProjection::new(simd, scene.volume().blend),
+        };
+        let drawn_over = self.sampler.composite && scene.slice_order() == SliceOrder::BackToFront;
+        let shows_surfaces = scene.has_surfaces_behind();
+        for n in 0..LANES {
+            if !pixels.place.wanted[n] {
+                pixels.until[n] = -1.0;
+                continue;
+            }
+            if scene.settings.jitter {
+                pixels.shift[n] = pixels.place.shift(n) * step[n];
+            }
+            if !shows_surfaces {
+                continue;
+            }
+            let hit = surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
+            if let Some(hit) = hit {
+                pixels.until[n] = (hit.t - pixels.shift[n]) * slant[n];
+                pixels.behind[n] = Some(hit.color);
+                if drawn_over {
                     pixels.color.set(n, hit.color);
                     pixels.alpha[n] = 1.0;
-                    tile.surfaces[py * TILE_COLUMNS + px - left] = Some(hit.color);
                 }
             }
-            if !self.sampler.composite || scene.slice_order() == SliceOrder::FrontToBack {
-                // Surfaces come last.
-                pixels.color = Vec3x8::splat(simd, Vec3::ZERO);
-                pixels.alpha = zero;
-            }
-            tile.packets.push(pixels);
         }
-        tile
+        pixels
     }
 
     /// Depths of the first and the last slice of a slab, mm.
@@ -352,20 +358,15 @@ impl<T: Voxel> Slicer<'_, T> {
         let ends = scene.ends_early() && self.sampler.composite;
         for polygon in slab.polygons.clone() {
             let outline = &self.outlines[polygon as usize];
-            if outline.high.cmplt(tile.low).any() || outline.low.cmpgt(tile.high).any() {
+            let [low, _, high, _] = tile.corners;
+            if outline.high.cmplt(low).any() || outline.low.cmpgt(high).any() {
                 continue;
             }
-            let corners = [
-                tile.low,
-                Vec2::new(tile.high.x, tile.low.y),
-                tile.high,
-                Vec2::new(tile.low.x, tile.high.y),
-            ];
             // Edges that the tile crosses, or lies beyond.
             let crossing = outline
                 .edges
                 .iter()
-                .filter(|e| !corners.iter().all(|c| e.contains(*c)));
+                .filter(|e| !tile.corners.iter().all(|c| e.contains(*c)));
             let crossing: Vec<Edge> = crossing.copied().collect();
             let is_empty = scene
                 .volume()
@@ -374,7 +375,7 @@ impl<T: Voxel> Slicer<'_, T> {
             for pixels in &mut tile.packets {
                 let mut covered = pixels.until.simd_ge(0.0);
                 for edge in &crossing {
-                    covered &= edge.contains_lanes(pixels.center[0], pixels.center[1]);
+                    covered &= edge.contains_lanes(pixels.place.x, pixels.place.y);
                 }
                 if is_empty && !self.has_surfaces {
                     stats.samples_skipped +=

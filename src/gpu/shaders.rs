@@ -34,6 +34,10 @@ pub enum Program {
     SliceSurface,
     /// Triangles.
     Mesh,
+    /// Triangles at listed samples.
+    Gather,
+    /// The mask of pixels that are not sampled again by slices.
+    Mask,
 }
 
 macro_rules! piece {
@@ -74,7 +78,7 @@ const SURFACES: [&str; 4] = [
 
 impl Program {
     /// All programs.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::Raycast,
         Self::RaycastCompute,
         Self::Slice,
@@ -90,6 +94,8 @@ impl Program {
         Self::Surface,
         Self::SliceSurface,
         Self::Mesh,
+        Self::Gather,
+        Self::Mask,
     ];
 
     /// The program's whole text, `constants` first; `counting` includes the sample counts. The text
@@ -136,9 +142,11 @@ impl Program {
             Self::SliceSurface => &[MARCH, FOUND, SLICE_POLYGON, count, piece!("slice_surface.wgsl")],
             Self::Surface => &[MARCH, count, piece!("surface.wgsl")],
             Self::Mesh => &[MARCH, piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
+            Self::Gather => &[MARCH, piece!("gather.wgsl")],
+            Self::Mask => &[piece!("mask.wgsl")],
         };
         let of_surfaces: &[&str] = match self {
-            Self::Surface | Self::SliceSurface | Self::Mesh => &SURFACES,
+            Self::Surface | Self::SliceSurface | Self::Mesh | Self::Gather => &SURFACES,
             _ => &[],
         };
         // Programs that make maps read no scene.

@@ -18,7 +18,7 @@ use crate::picture::MAX_PICTURE_EDGE;
 use crate::picture::Picture;
 use crate::prepare::measure;
 use crate::prepare::{Assets, Deformed};
-use crate::scene::Scene;
+use crate::scene::{Antialias, Scene};
 use crate::transfer::TransferSettings;
 use crate::volume::save::Format;
 use crate::{Error, Result, Watch};
@@ -90,7 +90,7 @@ impl Workstation {
         let step = self.doc.as_ref().map_or(1.0, |d| d.scene.render.step.min(0.5));
         PictureForm {
             size,
-            antialias: 1,
+            antialias: Antialias::Adaptive,
             step,
             transparent: false,
         }

@@ -103,7 +103,7 @@ impl<'a> Prepared<'a> {
         } = deformed;
         let frame = Frame {
             view,
-            size: settings.size.map(|n| n * settings.antialias),
+            size: settings.size.map(|n| n * settings.antialias.grid()),
             spacing,
             proxy: volume.macrocells.occupied,
             to_light,

@@ -32,14 +32,37 @@ pub(super) struct SceneCache {
 }
 
 /// The bindings of a picture: handles of cached resources.
+#[derive(Clone)]
 pub(super) struct SceneBindings {
     uniforms: [wgpu::Buffer; 3],
+    frame: FrameUniform,
     table: wgpu::TextureView,
     cells: wgpu::TextureView,
     preintegrated: wgpu::TextureView,
     /// The half- and single-precision atlases.
     maps: [wgpu::TextureView; 2],
     nothing: Layer,
+    /// Positions of listed samples; anything if there are none.
+    positions: wgpu::TextureView,
+}
+
+impl SceneBindings {
+    /// The same bindings with positions of listed samples.
+    pub(super) fn with_positions(&self, positions: &wgpu::TextureView) -> Self {
+        Self {
+            positions: positions.clone(),
+            ..self.clone()
+        }
+    }
+
+    /// Moves the samples of all later passes to an offset from the centre of each pixel, pixels.
+    pub(super) fn move_samples(&self, context: &Context, offset: [f32; 2]) {
+        let frame = self.frame.with_offset(offset);
+        context
+            .device
+            .queue
+            .write_buffer(&self.uniforms[0], 0, bytemuck::bytes_of(&frame));
+    }
 }
 
 impl SceneCache {
@@ -94,10 +117,12 @@ impl SceneCache {
         );
         Ok(SceneBindings {
             uniforms,
+            frame,
             table,
             cells,
             preintegrated,
             maps,
+            positions: nothing.distance_view.clone(),
             nothing,
         })
     }
@@ -271,6 +296,7 @@ impl SceneCache {
             (17, colors.clone()),
             (18, shared.preintegrated.clone()),
             (19, gradients.clone()),
+            (20, shared.positions.clone()),
         ]);
         views.extend(
             shared

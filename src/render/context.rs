@@ -437,7 +437,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     entries.push(entry(18, texture(filtered, wgpu::TextureViewDimension::D2)));
     entries.push(entry(19, texture(filtered, wgpu::TextureViewDimension::D3)));
     let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
-    entries.extend([15, 16].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
+    entries.extend([15, 16, 20].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("scene"),
         entries: &entries,

@@ -5,6 +5,7 @@ use super::Renderer;
 use super::context::{Context, lock};
 use super::counter::Counter;
 use super::pass_timer::PassTimer;
+use super::refine::Samples;
 use super::target::{Layer, RenderTexture};
 use super::variant::{Variant, overrides};
 use crate::gpu::shaders::Program;
@@ -27,6 +28,7 @@ pub(super) struct Draw<'a> {
     pub behind: Option<&'a Layer>,
     pub counter: Option<&'a Counter>,
     pub target: &'a RenderTexture,
+    pub samples: Samples<'a>,
     pub watch: &'a Watch<'a>,
     /// The timer of the passes, if they are timed.
     pub clock: Option<&'a PassTimer>,
@@ -34,7 +36,12 @@ pub(super) struct Draw<'a> {
 
 impl Draw<'_> {
     pub(super) fn variant(&self, context: &Context, program: Program) -> Variant {
-        context.variant(self.scene, program, self.counter.is_some())
+        let rays = matches!(program, Program::Raycast | Program::RaycastCompute);
+        Variant {
+            listed: rays && self.samples.is_listed(),
+            masked: program == Program::Slice && matches!(self.samples, Samples::Masked(..)),
+            ..context.variant(self.scene, program, self.counter.is_some())
+        }
     }
 
     /// Binds the scene, and the counters if samples are counted.
@@ -185,7 +192,7 @@ impl Context {
 impl Renderer {
     /// Draws one ray per pixel, band by band.
     pub(super) fn draw_rays(&mut self, draw: &Draw) -> Result<()> {
-        let [width, height] = draw.scene.frame.size;
+        let [width, height] = draw.samples.drawn_size();
         let program = self.context.strategy.rays();
         let variant = draw.variant(&self.context, program);
         let bands = (program == Program::RaycastCompute).then(|| self.bands(draw));

@@ -55,6 +55,7 @@ mod maps;
 mod object;
 mod pass_timer;
 mod pipelines;
+mod refine;
 mod sample_map;
 mod slices;
 mod strategy;
@@ -68,10 +69,10 @@ mod work;
 pub use strategy::Strategy;
 pub use work::Work;
 
-use crate::gpu::{Device, checked, read_picture, texture_bytes, wait};
+use crate::gpu::{Device, checked, wait};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
-use crate::scene::Mode;
+use crate::scene::{Antialias, Mode};
 use crate::transfer::Blend;
 use crate::{Error, Result, Watch};
 use cache::{SceneBindings, SceneCache};
@@ -79,6 +80,7 @@ use context::Context;
 use counter::Counter;
 use draw::Draw;
 use pass_timer::PassTimer;
+use refine::Samples;
 use std::sync::Arc;
 use target::{Layer, Targets};
 use wgpu::Features;
@@ -213,7 +215,7 @@ impl Renderer {
                 height,
                 pixels,
             }
-            .reduced(scene.settings.antialias);
+            .reduced(scene.settings.antialias.grid());
             return Ok(scene.rendered(picture, Some(RenderStats::default()), stages, Vec::new()));
         }
         stages.time("upload", || -> Result<()> {
@@ -245,29 +247,19 @@ impl Renderer {
             shared: &shared,
             counter: counter.as_ref(),
             watch,
+            samples: Samples::Pixels(scene.frame.size),
         };
-        let behind = self.draw_surfaces_behind(&inputs, &mut stages)?;
-        let target = if let (false, Some(layer)) = (shows_volume, &behind) {
-            layer.color.clone()
-        } else {
-            self.draw_volume(&inputs, behind.as_ref(), &mut stages)?
-        };
-        let pixels = stages.time("readback", || {
-            let buffer = self.targets.readback(&self.context, texture_bytes(&target));
-            read_picture(
-                &self.context.device.device,
-                &self.context.device.queue,
-                &target,
-                &buffer,
-            )
-        })?;
-        let stats = counter.map(|c| c.read(&self.context)).transpose()?;
-        let picture = Picture {
+        let pixels = self.draw_samples(&inputs, shows_volume, &mut stages)?;
+        let mut picture = Picture {
             width,
             height,
             pixels,
+        };
+        if scene.settings.antialias == Antialias::Adaptive {
+            picture = stages.time("antialiasing", || self.refined(&inputs, picture, shows_volume))?;
         }
-        .reduced(scene.settings.antialias);
+        let picture = picture.reduced(scene.settings.antialias.grid());
+        let stats = counter.map(|c| c.read(&self.context)).transpose()?;
         Ok(scene.rendered(picture, stats, stages, notices))
     }
 
@@ -309,9 +301,7 @@ impl Renderer {
             return Ok(None);
         }
         self.restart_clock();
-        let drawn = stages.time("surfaces drawn", || {
-            self.draw_surfaces(inputs.scene, inputs.shared, inputs.counter, inputs.watch)
-        })?;
+        let drawn = stages.time("surfaces drawn", || self.draw_surfaces(inputs))?;
         if let Some(drawing) = self.clocked()? {
             stages.divide("surfaces drawn", "surfaces drawn (GPU time)", drawing);
         }
@@ -330,12 +320,13 @@ impl Renderer {
             shared,
             counter,
             watch,
+            samples,
         } = *inputs;
-        let [width, height] = scene.frame.size;
+        let [width, height] = samples.texture_size();
         let bindings = self.scene.group(&self.context, shared, behind);
         let target = self.targets.target(
             &self.context,
-            "picture",
+            if samples.is_listed() { "samples" } else { "picture" },
             width,
             height,
             self.context.picture_format(scene),
@@ -348,6 +339,7 @@ impl Renderer {
             behind,
             counter,
             target: &target,
+            samples,
             watch,
             clock: clock.as_deref(),
         };
@@ -372,4 +364,5 @@ struct PictureInputs<'a> {
     /// Counts samples; none if they are not counted.
     counter: Option<&'a Counter>,
     watch: &'a Watch<'a>,
+    samples: Samples<'a>,
 }

@@ -37,6 +37,8 @@ impl Context {
                 1
             },
             order: scene.slice_order(),
+            listed: false,
+            masked: false,
             format: self.picture_format(scene),
             cuts: scene.cuts.primitives().len(),
             grey_faces: scene.grey_faces(),
@@ -140,14 +142,15 @@ impl Context {
             constants: &constants,
             ..Default::default()
         };
-        let masked = matches!(
+        let has_mask = matches!(
             (variant.program, variant.blend),
-            (Program::Slice, Blend::Composite) | (Program::Opaque, _)
-        );
+            (Program::Slice, Blend::Composite) | (Program::Opaque | Program::Mask, _)
+        ) || variant.masked;
+        let writes_mask = matches!(variant.program, Program::Opaque | Program::Mask);
         let has_corners = matches!(variant.program, Program::Slice | Program::Opaque);
         let color = [Some(color_target(&variant))];
         let own_layout = match variant.program {
-            Program::Resolve | Program::Opaque => Some(gathered_layout(device)),
+            Program::Resolve | Program::Opaque | Program::Mask => Some(gathered_layout(device)),
             _ if variant.counting => Some(Counter::layout(device)),
             _ => None,
         };
@@ -172,11 +175,11 @@ impl Context {
                 buffers: if has_corners { &buffers } else { &[] },
             },
             primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: masked.then(|| wgpu::DepthStencilState {
+            depth_stencil: has_mask.then(|| wgpu::DepthStencilState {
                 format: MASK,
-                depth_write_enabled: Some(variant.program == Program::Opaque),
-                // From back to front nothing is masked.
-                depth_compare: Some(if variant.order == SliceOrder::BackToFront {
+                depth_write_enabled: Some(writes_mask),
+                // From back to front no opaque pixel is masked.
+                depth_compare: Some(if variant.order == SliceOrder::BackToFront && !variant.masked {
                     wgpu::CompareFunction::Always
                 } else {
                     wgpu::CompareFunction::Less
@@ -189,11 +192,7 @@ impl Context {
                 module: &module,
                 entry_point: Some("fragment"),
                 compilation_options: options,
-                targets: if variant.program == Program::Opaque {
-                    &[]
-                } else {
-                    &color
-                },
+                targets: if writes_mask { &[] } else { &color },
             }),
             multiview_mask: None,
             cache: None,

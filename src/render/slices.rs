@@ -11,7 +11,8 @@ use super::Renderer;
 use super::context::{Context, lock};
 use super::draw::{Canvas, Draw, PendingSubmissions};
 use super::pipelines::{color_target, gathered_layout};
-use super::target::{Corner, MASK, PROJECTION_FORMAT};
+use super::refine::Samples;
+use super::target::{Corner, MASK, PROJECTION_FORMAT, RenderTexture};
 use super::variant::{Variant, overrides};
 use super::work::ResourceKind;
 use crate::Result;
@@ -144,7 +145,8 @@ impl Renderer {
             self.targets
                 .target(&self.context, "gathered", width, height, PROJECTION_FORMAT)
         });
-        let mask = composite.then(|| {
+        let masks = composite || matches!(draw.samples, Samples::Masked(..));
+        let mask = masks.then(|| {
             self.targets
                 .target(&self.context, "opaque pixels", width, height, MASK)
         });
@@ -172,6 +174,9 @@ impl Renderer {
         targets
             .canvas(wgpu::LoadOp::Clear(empty), wgpu::LoadOp::Clear(1.0))
             .pass(draw.clock, &mut encoder, |_| {});
+        if let (Samples::Masked(_, again), Some(mask)) = (draw.samples, &mask) {
+            self.mask_pixels(draw, again, mask, &mut encoder);
+        }
         let back_to_front = scene.slice_order() == SliceOrder::BackToFront;
         if composite && back_to_front {
             self.draw_surfaces_behind_slices(draw, &targets, &mut encoder);
@@ -202,6 +207,27 @@ impl Renderer {
         wait(&self.context.device.device)
     }
 
+    /// Gives all pixels that are not sampled again depth 0.
+    fn mask_pixels(
+        &self,
+        draw: &Draw,
+        again: &RenderTexture,
+        mask: &RenderTexture,
+        encoder: &mut wgpu::CommandEncoder,
+    ) {
+        let group = self.context.gathered_group(&again.view);
+        Canvas {
+            color: None,
+            depth: Some((&mask.view, wgpu::LoadOp::Load)),
+        }
+        .pass(draw.clock, encoder, |pass| {
+            pass.set_pipeline(&self.context.pipeline(draw.variant(&self.context, Program::Mask)));
+            pass.set_bind_group(0, draw.bindings, &[]);
+            pass.set_bind_group(1, &group, &[]);
+            pass.draw(0..3, 0..1);
+        });
+    }
+
     /// Draws the surfaces behind the volume, if there are any.
     fn draw_surfaces_behind_slices(
         &self,
@@ -228,7 +254,7 @@ impl Renderer {
 struct SliceTargets<'a> {
     /// The picture, or the values of a projection.
     color: &'a wgpu::TextureView,
-    /// Depth 0 at opaque pixels; none for projections.
+    /// Depth 0 at pixels that need no more samples; none if all do.
     mask: Option<&'a wgpu::TextureView>,
     vertices: &'a wgpu::Buffer,
 }
@@ -259,7 +285,7 @@ impl Context {
         let [width, height] = scene.frame.size;
         let masked = targets
             .mask
-            .filter(|_| scene.ends_early())
+            .filter(|_| scene.ends_early() && scene.is_composite())
             .map(|_| self.gathered_group(&draw.target.view));
         let pipeline = &self.pipeline(draw.variant(self, Program::Slice));
         let canvas = targets.canvas(wgpu::LoadOp::Load, wgpu::LoadOp::Load);

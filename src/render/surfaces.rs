@@ -6,15 +6,15 @@
 //! them: shader bindings do not limit the number of objects. An object in two stages has its
 //! triangles drawn into a separate layer, which its rays read and blend with.
 
-use super::Renderer;
-use super::cache::SceneBindings;
 use super::context::{Context, lock};
 use super::counter::Counter;
 use super::object::{Corners, MeshCorner};
 use super::pass_timer::PassTimer;
+use super::refine::Samples;
 use super::target::{DEPTH, Layer};
 use super::variant::{Variant, overrides};
 use super::work::ResourceKind;
+use super::{PictureInputs, Renderer};
 use crate::gpu::shaders::Program;
 use crate::prepare::Prepared;
 use crate::prepare::objects::Stage;
@@ -175,21 +175,30 @@ impl Context {
     }
 }
 
+/// The variant of a program for the samples of a picture.
+fn listed(inputs: &PictureInputs, variant: Variant) -> Variant {
+    Variant {
+        listed: inputs.samples.is_listed(),
+        ..variant
+    }
+}
+
 impl Renderer {
     /// Draws all surfaces of a scene.
-    pub(super) fn draw_surfaces(
-        &mut self,
-        scene: &Prepared,
-        shared: &SceneBindings,
-        counter: Option<&Counter>,
-        watch: &Watch,
-    ) -> Result<Layer> {
-        let [width, height] = scene.frame.size;
-        let layer = self.targets.layer(
-            &self.context,
-            ["surfaces: colour", "surfaces: distance", "surfaces: depth"],
-            width,
-            height,
+    pub(super) fn draw_surfaces(&mut self, inputs: &PictureInputs) -> Result<Layer> {
+        let PictureInputs {
+            scene,
+            shared,
+            watch,
+            samples,
+            ..
+        } = *inputs;
+        let layer = self.surface_layer(
+            &samples,
+            [
+                ["surfaces: colour", "surfaces: distance", "surfaces: depth"],
+                ["samples: colour", "samples: distance", "samples: depth"],
+            ],
         );
         self.context.clear(&layer, self.clock.as_deref());
         let count = scene.surfaces.objects.len();
@@ -201,22 +210,25 @@ impl Renderer {
             }
             let nothing_behind = self.scene.group(&self.context, shared, None);
             match (object.stage, &corners) {
-                (Stage::Triangles, Some(corners)) => {
-                    self.draw_mesh(scene, &layer, &nothing_behind, &group, corners)?
-                }
+                (Stage::Triangles, Some(corners)) => self.draw_mesh(inputs, &layer, &group, corners)?,
                 (Stage::Both(_), Some(corners)) => {
-                    let drawn = self.targets.layer(
-                        &self.context,
-                        ["triangles: colour", "triangles: distance", "triangles: depth"],
-                        width,
-                        height,
+                    let drawn = self.surface_layer(
+                        &samples,
+                        [
+                            ["triangles: colour", "triangles: distance", "triangles: depth"],
+                            [
+                                "sampled triangles: colour",
+                                "sampled triangles: distance",
+                                "sampled triangles: depth",
+                            ],
+                        ],
                     );
                     self.context.clear(&drawn, self.clock.as_deref());
-                    self.draw_mesh(scene, &drawn, &nothing_behind, &group, corners)?;
+                    self.draw_mesh(inputs, &drawn, &group, corners)?;
                     let behind = self.scene.group(&self.context, shared, Some(&drawn));
-                    self.cast(scene, &layer, &behind, &group, counter)?;
+                    self.cast(inputs, &layer, &behind, &group)?;
                 }
-                _ => self.cast(scene, &layer, &nothing_behind, &group, counter)?,
+                _ => self.cast(inputs, &layer, &nothing_behind, &group)?,
             }
             (watch.progress)((n + 1) as f32 / count as f32);
             watch.check()?;
@@ -225,20 +237,66 @@ impl Renderer {
         Ok(layer)
     }
 
+    /// A layer for samples, by its names for pictures and for lists.
+    fn surface_layer(&mut self, samples: &Samples, names: [[&'static str; 3]; 2]) -> Layer {
+        let [width, height] = samples.texture_size();
+        self.targets
+            .layer(&self.context, samples.layer_names(names), width, height)
+    }
+
+    /// Draws triangles into a layer: in all pixels, or for listed samples in all pixels of a layer
+    /// of its own for each offset, from which they are gathered.
     fn draw_mesh(
         &mut self,
-        scene: &Prepared,
+        inputs: &PictureInputs,
         layer: &Layer,
-        shared: &wgpu::BindGroup,
         group: &wgpu::BindGroup,
         corners: &Corners,
     ) -> Result<()> {
-        let variant = self.context.variant(scene, Program::Mesh, false);
+        let Samples::Listed(list) = inputs.samples else {
+            return self.draw_triangles(inputs, layer, group, corners);
+        };
+        let pixels = self.surface_layer(
+            &Samples::Pixels(list.picture_size),
+            [["moved: colour", "moved: distance", "moved: depth"]; 2],
+        );
+        let behind = self.scene.group(&self.context, inputs.shared, Some(&pixels));
+        let pipeline = self.context.surface_pipeline(listed(
+            inputs,
+            self.context.variant(inputs.scene, Program::Gather, false),
+        ));
+        for (n, offset) in list.offsets.iter().enumerate() {
+            self.context.clear(&pixels, self.clock.as_deref());
+            inputs.shared.move_samples(&self.context, *offset);
+            self.draw_triangles(inputs, &pixels, group, corners)?;
+            let [first, end] = list.rows_of(n);
+            self.context
+                .surface_pass(layer, self.clock.as_deref(), false, |pass| {
+                    pass.set_scissor_rect(0, first, list.picture_size[0], end - first);
+                    pass.set_pipeline(&pipeline);
+                    pass.set_bind_group(0, &behind, &[]);
+                    pass.set_bind_group(2, group, &[]);
+                    pass.draw(0..3, 0..1);
+                });
+        }
+        inputs.shared.move_samples(&self.context, [0.0; 2]);
+        Ok(())
+    }
+
+    fn draw_triangles(
+        &mut self,
+        inputs: &PictureInputs,
+        layer: &Layer,
+        group: &wgpu::BindGroup,
+        corners: &Corners,
+    ) -> Result<()> {
+        let shared = self.scene.group(&self.context, inputs.shared, None);
+        let variant = self.context.variant(inputs.scene, Program::Mesh, false);
         let pipeline = &self.context.surface_pipeline(variant);
         self.context
             .surface_pass(layer, self.clock.as_deref(), false, |pass| {
                 pass.set_pipeline(pipeline);
-                pass.set_bind_group(0, shared, &[]);
+                pass.set_bind_group(0, &shared, &[]);
                 pass.set_bind_group(2, group, &[]);
                 pass.set_vertex_buffer(0, corners.buffer.slice(..));
                 pass.draw(0..corners.count, 0..1);
@@ -248,15 +306,17 @@ impl Renderer {
 
     fn cast(
         &mut self,
-        scene: &Prepared,
+        inputs: &PictureInputs,
         layer: &Layer,
         shared: &wgpu::BindGroup,
         group: &wgpu::BindGroup,
-        counter: Option<&Counter>,
     ) -> Result<()> {
-        let variant = self.context.variant(scene, Program::Surface, counter.is_some());
-        let pipeline = &self.context.surface_pipeline(variant);
-        let [width, height] = scene.frame.size;
+        let counter = inputs.counter;
+        let variant = self
+            .context
+            .variant(inputs.scene, Program::Surface, counter.is_some());
+        let pipeline = &self.context.surface_pipeline(listed(inputs, variant));
+        let [width, height] = inputs.samples.drawn_size();
         for top in (0..height).step_by(ROWS_AT_ONCE as usize) {
             self.context
                 .surface_pass(layer, self.clock.as_deref(), false, |pass| {
@@ -286,7 +346,13 @@ impl Renderer {
                 .volume
                 .upload(&self.context, scene.volume().grid, scene.volume().colors)?;
             let shared = self.shared(scene)?;
-            let layer = self.draw_surfaces(scene, &shared, None, &Watch::NONE)?;
+            let layer = self.draw_surfaces(&PictureInputs {
+                scene,
+                shared: &shared,
+                counter: None,
+                watch: &Watch::NONE,
+                samples: Samples::Pixels(scene.frame.size),
+            })?;
             let distances = {
                 let buffer = self
                     .targets

@@ -30,6 +30,7 @@ impl RenderTexture {
 }
 
 /// The targets of surfaces.
+#[derive(Clone)]
 pub(super) struct Layer {
     /// Colour, premultiplied.
     pub color: wgpu::Texture,

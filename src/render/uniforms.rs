@@ -65,6 +65,8 @@ pub struct FrameUniform {
     pub stored_offset: f32,
     pub per_texture_size: [f32; 3],
     pub padding: f32,
+    pub sample_offset: [f32; 2],
+    pub more_padding: [f32; 2],
 }
 
 /// `CutShape` of the shaders.
@@ -185,7 +187,22 @@ impl FrameUniform {
             stored_offset: scene.volume().grid.offset,
             per_texture_size: texture_size.map(f32::recip),
             padding: 0.0,
+            sample_offset: [0.0; 2],
+            more_padding: [0.0; 2],
         }
+    }
+
+    /// The same for samples at an offset from the centre of each pixel, pixels.
+    pub(super) fn with_offset(mut self, offset: [f32; 2]) -> Self {
+        self.sample_offset = offset;
+        // What lies at the offset moves to the centre.
+        let [x, y] = [
+            -2.0 * offset[0] / self.picture[0],
+            2.0 * offset[1] / self.picture[1],
+        ];
+        let moved = Mat4::from_translation(Vec3::new(x, y, 0.0));
+        self.clip_from_world = (moved * Mat4::from_cols_array(&self.clip_from_world)).to_cols_array();
+        self
     }
 }
 

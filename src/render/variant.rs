@@ -24,6 +24,10 @@ pub(super) struct Variant {
     pub(super) grey_faces: bool,
     pub(super) iso: Option<IsoLight>,
     pub(super) behind: bool,
+    /// Samples are listed by position, instead of one per pixel.
+    pub(super) listed: bool,
+    /// Pixels that are not sampled again are masked.
+    pub(super) masked: bool,
     pub(super) colors: bool,
     pub(super) exact: bool,
     pub(super) exact_maps: bool,
@@ -32,7 +36,7 @@ pub(super) struct Variant {
 }
 
 /// Values of the shaders' `override` constants.
-pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 14] {
+pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 15] {
     [
         ("MAPS", variant.maps as f64),
         ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
@@ -46,6 +50,7 @@ pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 14] {
         ("ISO", f64::from(constants::iso(variant.iso))),
         ("COLORS", f64::from(u8::from(variant.colors))),
         ("BEHIND", f64::from(u8::from(variant.behind))),
+        ("LISTED", f64::from(u8::from(variant.listed))),
         ("EXACT", f64::from(u8::from(variant.exact))),
         ("EXACT_MAPS", f64::from(u8::from(variant.exact_maps))),
     ]

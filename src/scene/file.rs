@@ -1,6 +1,6 @@
 //! Scene files: reading and writing TOML; unknown keys are reported with the closest known one.
 
-use super::{FORMAT_VERSION, Scene, keys};
+use super::{FORMAT_VERSION, Scene, keys, migrate};
 use crate::files::input;
 use crate::{Error, Result};
 use serde_json::Value;
@@ -22,7 +22,7 @@ impl Scene {
     /// Parses scene text; the error is one sentence without a file name.
     pub fn from_toml(text: &str) -> Result<Self, String> {
         if text.trim().is_empty() {
-            return Err("is empty; a scene needs at least `incise = 1` and a [volume] with a path".into());
+            return Err("is empty; a scene needs at least `incise = 2` and a [volume] with a path".into());
         }
         let wrong = |e: &toml::de::Error| match e.span() {
             Some(span) => format!(
@@ -32,21 +32,28 @@ impl Scene {
             ),
             None => e.message().to_owned(),
         };
-        let table: toml::Table = text
+        let mut table: toml::Table = text
             .parse()
             .map_err(|e: toml::de::Error| format!("is not valid TOML ({})", wrong(&e)))?;
         // Another version has other keys, so the version is checked first.
-        if let Some(version) = table
-            .get("incise")
-            .and_then(toml::Value::as_integer)
-            .filter(|v| *v != i64::from(FORMAT_VERSION))
-        {
+        let version = table.get("incise").and_then(toml::Value::as_integer);
+        let known = i64::from(migrate::OLDEST_VERSION)..=i64::from(FORMAT_VERSION);
+        if let Some(version) = version.filter(|v| !known.contains(v)) {
             return Err(format!(
-                "has format version {version}; this program reads version {FORMAT_VERSION}"
+                "has format version {version}; this program reads versions {} to {}",
+                known.start(),
+                known.end()
             ));
         }
         keys::check(&schema(), &table)?;
-        let scene: Self = toml::from_str(text).map_err(|e| format!("cannot be used ({})", wrong(&e)))?;
+        // From the text, for line numbers in messages.
+        let mut scene: Self = toml::from_str(text).map_err(|e| format!("cannot be used ({})", wrong(&e)))?;
+        if version == Some(1) {
+            migrate::from_version_1(&mut table);
+            scene = table
+                .try_into()
+                .map_err(|e: toml::de::Error| format!("cannot be used ({})", e.message()))?;
+        }
         if scene.volume.is_none() && scene.mesh.is_empty() {
             return Err("shows nothing; it needs a [volume] with a path or a [[mesh]]".into());
         }
@@ -162,7 +169,7 @@ mod tests {
             ),
             (
                 "[render]\nantialias = 2.0",
-                "for \"render.antialias\", which must be a whole number",
+                "for \"render.antialias\", which must be one of \"adaptive\" or a whole number from 1 to 4",
             ),
             (
                 "[camera]\nview = 3",
@@ -199,7 +206,7 @@ mod tests {
     fn empty_and_broken_scenes_say_so() {
         assert!(error("").contains("empty"));
         assert!(error("incise = 1").contains("volume"));
-        assert!(error("incise = 2\n[volume]\npath=\"x\"").contains("version 2"));
+        assert!(error("incise = 3\n[volume]\npath=\"x\"").contains("version 3"));
         assert!(error("incise = ").contains("TOML"));
     }
 }

@@ -4,6 +4,7 @@
 //! A [`Scene`] names volumes, meshes and fields by path and never holds voxels, threads or devices.
 //! [`crate::prepare`] resolves it for rendering.
 
+mod antialias;
 mod camera;
 pub mod command;
 pub mod example;
@@ -12,10 +13,12 @@ mod keys;
 pub mod kinds;
 mod limits;
 pub mod measure;
+mod migrate;
 mod paths;
 mod settings;
 pub mod surface;
 
+pub use antialias::Antialias;
 pub use camera::{Camera, Projection, View, ViewFrame};
 
 use crate::deform::{Arguments, Storage};
@@ -29,13 +32,13 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// The version of the scene format.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
 
 /// A scene file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
-    /// Version of the format: 1.
+    /// Version of the format: 2; a scene of version 1 is read with that version's defaults.
     pub incise: u32,
     /// The volume that is shown, if one is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -358,8 +361,8 @@ pub struct RenderSettings {
     pub size: [u32; 2],
     /// Distance between samples in voxels (of the smallest spacing).
     pub step: f32,
-    /// Samples averaged along each edge of a pixel, 1 to 4.
-    pub antialias: u32,
+    /// Antialiasing: "adaptive", or 1 to 4 samples along each edge of a pixel.
+    pub antialias: Antialias,
     /// Background: red, green, blue, alpha in 0..1.
     pub background: [f32; 4],
     /// Which normals shade the volume.
@@ -417,7 +420,7 @@ impl Default for RenderSettings {
             mode: Mode::Raycast,
             size: [512, 512],
             step: 1.0,
-            antialias: 1,
+            antialias: Antialias::Adaptive,
             background: [0.08, 0.085, 0.1, 1.0],
             normals: Normals::Blended,
             gradient: GradientFilter::Central,

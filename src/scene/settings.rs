@@ -1,6 +1,6 @@
 //! Checks of the render and light settings.
 
-use super::{Light, RenderSettings, Scene};
+use super::{Antialias, Light, RenderSettings, Scene};
 use crate::files::memory;
 use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
 use crate::{Error, Result};
@@ -25,9 +25,10 @@ fn check_size(settings: &RenderSettings) -> Result<()> {
             format!("{width} x {height} pixels is out of range; each edge must be 1 to {MAX_PICTURE_EDGE}");
         return Err(Error::value("size", problem));
     }
-    let n = settings.antialias;
-    if !(1..=4).contains(&n) {
-        return Err(Error::value("antialias", format!("{n} is outside 1 to 4")));
+    let n = settings.antialias.grid();
+    if !(1..=Antialias::MAX_GRID).contains(&n) {
+        let problem = format!("{n} is outside 1 to {}", Antialias::MAX_GRID);
+        return Err(Error::value("antialias", problem));
     }
     let samples = u64::from(width) * u64::from(height) * u64::from(n * n);
     if width.max(height) * n > MAX_PICTURE_EDGE || samples > MAX_PIXELS {

@@ -6,7 +6,7 @@ use crate::scenes;
 use glam::Vec3;
 use incise::Watch;
 use incise::prepare::{PrepareOptions, Prepared};
-use incise::scene::{Deformation, Scene};
+use incise::scene::{Antialias, Deformation, Scene};
 use incise::transfer::Blend;
 use incise::volume::{VolumeSampler, VoxelGridValues};
 
@@ -76,7 +76,7 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
 fn scenes_with_empty_space() -> Vec<(String, Scene)> {
     let small = |name: &str, change: &dyn Fn(&mut Scene)| {
         let mut scene = scenes::load(name);
-        (scene.render.size, scene.render.antialias) = ([128, 128], 1);
+        (scene.render.size, scene.render.antialias) = ([128, 128], Antialias::OFF);
         change(&mut scene);
         (name.to_owned(), scene)
     };

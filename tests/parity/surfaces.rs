@@ -5,7 +5,7 @@ use crate::scenes;
 use incise::mesh::deformer::NormalMethod;
 use incise::prepare::Prepared;
 use incise::scene::surface::{DEFORMERS, DeformerSource, Representation, Steps};
-use incise::scene::{Mode, Scene};
+use incise::scene::{Antialias, Mode, Scene};
 use incise::transfer::Blend;
 use incise::{Watch, cpu};
 
@@ -23,7 +23,7 @@ pub(super) fn surface_depths_agree() {
     ] {
         let mut scene = scenes::load(name);
         scene.render.size = [192, 192];
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         let assets = scenes::assets(&scene);
         let prepared = Prepared::new(&scene, &assets).unwrap();
         let by_gpu = with_renderer(|r| {
@@ -59,7 +59,7 @@ pub(super) fn surface_options_agree() {
     let small = |name: &str| {
         let mut scene = scenes::load(name);
         scene.render.size = [128, 128];
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         scene
     };
     let check = |what: &str, scene: &Scene| {
@@ -78,7 +78,7 @@ pub(super) fn surface_options_agree() {
         check(&format!("{steps:?} steps"), &scene);
     }
     let mut averaged = small("gyroid");
-    averaged.render.antialias = 3;
+    averaged.render.antialias = Antialias::Grid(3);
     check("averaged pixels", &averaged);
     for representation in [Representation::DepthMap, Representation::DepthMapCube] {
         let mut scene = small("bunny-twist");

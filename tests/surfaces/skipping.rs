@@ -5,7 +5,7 @@ use crate::metrics::{STEP, difference};
 use crate::scenes;
 use incise::prepare::Prepared;
 use incise::scene::surface::{MeshSource, ShapeSource, Steps};
-use incise::scene::{Deformation, Scene};
+use incise::scene::{Antialias, Deformation, Scene};
 
 /// Skipping space emptied by cuts, or any other space, changes no pixel by more than a step.
 pub fn skipping_changes_no_surface() {
@@ -18,7 +18,7 @@ pub fn skipping_changes_no_surface() {
     ] {
         let mut scene = scenes::load(name);
         scene.render.size = [96, 96];
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         let with = render(&scene);
         scene.surface.cut_skipping = false;
         let without_cuts = render(&scene);
@@ -95,7 +95,7 @@ pub fn skipping_loses_no_hit() {
     ];
     for (name, mut scene) in cases {
         scene.render.size = [200, 200];
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         if name != "bunny" {
             scene.camera.view = "30,20".parse().unwrap();
             let mut twist = Deformation::new("twist");

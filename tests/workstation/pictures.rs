@@ -12,7 +12,7 @@ use incise::gui::state::shown::DisplayedPicture;
 use incise::gui::views::letters;
 use incise::prepare::{Assets, Deformed};
 use incise::scene::measure::Measure;
-use incise::scene::{Projection, Size, SliceOrder};
+use incise::scene::{Antialias, Projection, Size, SliceOrder};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -345,7 +345,7 @@ fn rendered(
     let mut scene: Scene = (*picture.of.scene).clone();
     (scene.render.size, scene.render.step) = (size.map(|n| n as u32), facts.step);
     if facts.is_draft {
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         if scene.render.mode == Mode::Slice {
             scene.render.slab = scene.render.slab.max(DRAFT_SLAB);
             scene.render.slice_order = SliceOrder::FrontToBack;

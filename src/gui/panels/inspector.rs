@@ -3,14 +3,13 @@
 
 mod mesh;
 mod picture;
-mod rows;
 mod settings;
 
 use self::mesh::show_mesh;
 use self::picture::show_picture_settings;
-use self::rows::{choice, name, three};
 use self::settings::setting;
 use super::icon_button;
+use super::rows::{choice, name, three};
 use crate::deform::kinds::{DefaultSize, Kind, Unit};
 use crate::deform::quality::FieldQuality;
 use crate::deform::{Argument, Storage};

@@ -9,6 +9,7 @@ pub mod log;
 pub mod measures;
 pub mod misplaced;
 pub mod palette;
+mod rows;
 pub mod scene;
 pub mod start;
 pub mod status;

@@ -4,7 +4,7 @@ use super::shown::OutdatedNotice;
 use crate::compare::Difference;
 use crate::picture::{Picture, RenderStats};
 use crate::prepare::Assets;
-use crate::scene::{Mode, Scene};
+use crate::scene::{Antialias, Mode, Scene};
 use eframe::egui::{Rect, TextureHandle};
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,7 +30,7 @@ impl ComparisonSide {
         let mut scene = scene.clone();
         scene.render.mode = self.mode;
         scene.render.step = self.step;
-        scene.render.antialias = 1;
+        scene.render.antialias = Antialias::OFF;
         scene
     }
 

@@ -2,7 +2,7 @@
 
 use super::session::Recovered;
 use crate::prepare::{AssetKey, Assets};
-use crate::scene::Scene;
+use crate::scene::{Antialias, Scene};
 use crate::{Error, Result};
 use eframe::egui;
 use egui_file_dialog::FileDialog;
@@ -66,8 +66,8 @@ pub enum Dialog {
 pub struct PictureForm {
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// Samples averaged along each edge of a pixel.
-    pub antialias: u32,
+    /// Antialiasing.
+    pub antialias: Antialias,
     /// Sampling distance, voxels.
     pub step: f32,
     /// Without a background.

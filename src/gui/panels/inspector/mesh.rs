@@ -1,6 +1,6 @@
 //! The appearance and placement of a mesh.
 
-use super::rows::{name, three};
+use crate::gui::panels::rows::{name, three};
 use crate::gui::panels::{heading, icon_button};
 use crate::gui::state::action::Action;
 use crate::gui::state::document::{Document, Selection};

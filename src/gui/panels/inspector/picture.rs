@@ -1,7 +1,7 @@
 //! How the picture is made: sampling, shading, light, camera.
 
-use super::rows::choice;
 use crate::gui::panels::heading;
+use crate::gui::panels::rows::{ANTIALIAS, choice};
 use crate::gui::state::document::Document;
 use crate::gui::state::request::Requests;
 use crate::scene::surface::SurfaceSettings;
@@ -67,14 +67,7 @@ fn show_sampling(ui: &mut Ui, render: &mut RenderSettings) {
             .max_decimals(2),
     )
     .on_hover_text("Step length: distance between samples, in voxels");
-    let mut antialias = render.antialias;
-    ui.add(
-        Slider::new(&mut antialias, 1..=4)
-            .clamping(egui::SliderClamping::Edits)
-            .text("antialias"),
-    )
-    .on_hover_text("Samples averaged along each edge of a pixel");
-    render.antialias = antialias;
+    choice(ui, "Anti-aliasing", &mut render.antialias, &ANTIALIAS);
 }
 
 /// How slices are drawn.

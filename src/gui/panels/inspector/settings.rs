@@ -1,9 +1,9 @@
 //! The settings of a kind, each as a checkbox, a list or a text field.
 
-use super::rows::{label, name};
 use crate::deform::Argument;
 use crate::deform::kinds::{Setting, SettingFormat};
 use crate::files::path_text::path_of;
+use crate::gui::panels::rows::{label, name};
 use crate::gui::text::capital;
 use crate::scene::Deformation;
 use crate::volume::phantom::is_procedural;

@@ -1,5 +1,6 @@
-//! Rows of the inspector: names, numbers, choices.
+//! Rows of the inspector and of dialogs: names, numbers, choices.
 
+use crate::scene::Antialias;
 use eframe::egui::{self, DragValue, Ui};
 
 /// A name whose double-click resets its value to the default.
@@ -53,3 +54,12 @@ pub(super) fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T
             .widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, word));
     });
 }
+
+/// The choices of antialiasing.
+pub(super) const ANTIALIAS: [(Antialias, &str); 5] = [
+    (Antialias::Adaptive, "Adaptive"),
+    (Antialias::OFF, "Off"),
+    (Antialias::Grid(2), "2 × 2"),
+    (Antialias::Grid(3), "3 × 3"),
+    (Antialias::Grid(4), "4 × 4"),
+];

@@ -1,0 +1,25 @@
+//! Scenes of earlier versions of the format. What later versions do by default an earlier scene
+//! then refuses explicitly, so that it looks as it did.
+
+use toml::{Table, Value};
+
+/// The first version.
+pub(super) const OLDEST_VERSION: u32 = 1;
+
+/// Brings the table of a scene of version 1 to version 2: pictures without antialiasing.
+pub(super) fn from_version_1(table: &mut Table) {
+    table.insert("incise".into(), Value::Integer(2));
+    state(section(table, "render"), "antialias", Value::Integer(1));
+}
+
+/// A section, created if the scene has none.
+fn section<'a>(table: &'a mut Table, name: &str) -> &'a mut Value {
+    table.entry(name).or_insert_with(|| Value::Table(Table::new()))
+}
+
+/// States a setting that the scene leaves to its default.
+fn state(section: &mut Value, key: &str, value: Value) {
+    if let Some(section) = section.as_table_mut() {
+        section.entry(key).or_insert(value);
+    }
+}
