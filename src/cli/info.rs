@@ -4,7 +4,7 @@ use super::arguments::VolumeArguments;
 use super::progress::TerminalProgress;
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
-use crate::files::path_text::path_of;
+use crate::files::path_text::{path_of, text_of};
 use crate::scene::Scene;
 use crate::scene::surface::{DEFORMERS, LOOKS};
 use crate::transfer;
@@ -54,7 +54,10 @@ pub fn run(arguments: &InfoArguments) -> Result<()> {
             let volume = load::volume(path, &arguments.volume.over(&ReadOptions::default()), &watch);
             bar.finish();
             match (volume, series) {
-                (Ok(volume), series) => file_report(&volume, series.as_deref()),
+                (Ok(volume), series) => {
+                    let scene = Scene::of_volume(text_of(path));
+                    file_report(&volume, &scene, series.as_deref())
+                }
                 // Only one of several series is unreadable.
                 (Err(error), Some(series)) if series.len() > 1 => {
                     let report = json!({ "kind": "volume", "format": "DICOM", "all_series": series });
@@ -77,15 +80,17 @@ pub fn run(arguments: &InfoArguments) -> Result<()> {
 }
 
 /// The report on a volume, with all series of its file.
-fn file_report(volume: &Volume, series: Option<&[SeriesInfo]>) -> Value {
-    let mut report = volume_report(volume);
+fn file_report(volume: &Volume, scene: &Scene, series: Option<&[SeriesInfo]>) -> Value {
+    let mut report = volume_report(volume, scene);
     if let (Some(series), Some(entries)) = (series, report.as_object_mut()) {
         entries.insert("all_series".into(), json!(series));
     }
     report
 }
 
-fn volume_report(volume: &Volume) -> Value {
+/// The report on a scene's volume.
+fn volume_report(volume: &Volume, scene: &Scene) -> Value {
+    let suitable = scene.suitable_preset(volume);
     let direction = volume.direction();
     let rows: Vec<[f64; 3]> = (0..3).map(|r| direction.row(r).to_array()).collect();
     let voxels = volume.voxels.len();
@@ -124,6 +129,7 @@ fn volume_report(volume: &Volume) -> Value {
         "rescale": { "slope": volume.rescale.slope, "intercept": volume.rescale.intercept },
         "stored_bytes": stored,
         "memory_bytes": stored + converted + colors,
+        "transfer": { "preset": suitable.name, "reason": suitable.reason },
         "warnings": volume.warnings_with_options(),
     });
     if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {
@@ -189,7 +195,7 @@ fn scene_report(path: &Path) -> Result<Value> {
         .map(|p| -> Result<Value> { Ok(json!({ "path": p, "report": mesh_report(&mesh::load::mesh(&scene.folder.join(path_of(p)))?) })) });
     Ok(json!({
         "kind": "scene",
-        "volume": volume.map(|v| json!({ "path": scene.volume_name(), "report": volume_report(&v) })),
+        "volume": volume.map(|v| json!({ "path": scene.volume_name(), "report": volume_report(&v, &scene) })),
         "meshes": meshes.collect::<Result<Vec<_>>>()?,
         "deformations": scene.deformation.iter().map(|d| d.kind.as_str()).collect::<Vec<_>>(),
         "picture": scene.render.size,

@@ -6,7 +6,7 @@ use super::prepared::Prepared;
 use crate::deform::kinds;
 use crate::scene::surface::{Steps, SurfaceSettings};
 use crate::scene::{Camera, Light, Mode, Normals, Projection, RenderSettings, Scene, SliceOrder};
-use crate::transfer::{Blend, TransferSettings};
+use crate::transfer::{Blend, Scale, TransferSettings, preset};
 use serde::Serialize;
 use toml::Value;
 
@@ -60,6 +60,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             "light.specular",
             "light.shininess",
             "transfer.preset",
+            "transfer.relative_to",
             "transfer.points",
             "transfer.window",
             "transfer.level",
@@ -86,6 +87,14 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             PROJECTION,
         );
         volume_settings(prepared, composite, &mut unless);
+        let transfer = &scene.transfer;
+        let named = transfer.preset.as_deref().and_then(preset);
+        unless(
+            transfer.points.is_empty()
+                && named.is_none_or(|p| p.scale == Scale::Relative || p.name.starts_with("ct-")),
+            &["transfer.relative_to"],
+            "the transfer function states data values",
+        );
     }
     slice_settings(prepared, &mut unless);
     unless(

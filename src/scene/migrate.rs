@@ -1,15 +1,28 @@
 //! Scenes of earlier versions of the format. What later versions do by default an earlier scene
 //! then refuses explicitly, so that it looks as it did.
 
+use crate::transfer::{Scale, preset};
 use toml::{Table, Value};
 
 /// The first version.
 pub(super) const OLDEST_VERSION: u32 = 1;
 
-/// Brings the table of a scene of version 1 to version 2: pictures without antialiasing.
+/// Brings the table of a scene of version 1 to version 2: pictures without antialiasing, and
+/// presets relative to all values.
 pub(super) fn from_version_1(table: &mut Table) {
     table.insert("incise".into(), Value::Integer(2));
     state(section(table, "render"), "antialias", Value::Integer(1));
+    let states_values = |transfer: &Value| {
+        let named = transfer.get("preset").and_then(Value::as_str).and_then(preset);
+        transfer.get("points").is_some() || named.is_some_and(|p| p.scale == Scale::Absolute)
+    };
+    if table.contains_key("volume") && !table.get("transfer").is_some_and(states_values) {
+        state(
+            section(table, "transfer"),
+            "relative_to",
+            Value::String("range".into()),
+        );
+    }
 }
 
 /// A section, created if the scene has none.

@@ -24,7 +24,7 @@ pub use camera::{Camera, Projection, View, ViewFrame};
 use crate::deform::{Arguments, Storage};
 use crate::files::path_text::path_of;
 use crate::math::light::BlinnPhong;
-use crate::transfer::{TransferSettings, default_preset};
+use crate::transfer::{SuitablePreset, TransferSettings, suitable_preset};
 use crate::volume::load::ReadOptions;
 use crate::volume::{GradientFilter, Volume, phantom};
 use schemars::JsonSchema;
@@ -479,20 +479,28 @@ impl Scene {
         self.volume.as_ref().map_or("", |v| &v.path)
     }
 
-    /// The name of the preset used if the scene names none: the phantom's own; grey if the scene
-    /// has its own control points; else the preset that suits the volume's values.
+    /// The preset used if the scene names none, and why: the phantom's own; grey if the scene has
+    /// its own control points; else the one that suits the volume's values.
+    pub fn suitable_preset(&self, volume: &Volume) -> SuitablePreset {
+        let name = self.volume_name();
+        if let Some(own) = name.strip_prefix("phantom:").and_then(phantom::preset) {
+            return SuitablePreset {
+                name: own,
+                reason: "the phantom has a preset of its own".into(),
+            };
+        }
+        if self.transfer.preset.is_none() && self.transfer.points.is_empty() {
+            return suitable_preset(volume, name, self.transfer.relative_to);
+        }
+        SuitablePreset {
+            name: "grey",
+            reason: "the scene states its own curve or preset".into(),
+        }
+    }
+
+    /// Its name.
     pub fn default_preset(&self, volume: &Volume) -> &'static str {
-        let suits = || {
-            if self.transfer.preset.is_none() && self.transfer.points.is_empty() {
-                default_preset(volume)
-            } else {
-                "grey"
-            }
-        };
-        self.volume_name()
-            .strip_prefix("phantom:")
-            .and_then(phantom::preset)
-            .unwrap_or_else(suits)
+        self.suitable_preset(volume).name
     }
 
     /// The volume's path resolved against the scene's folder, if there is a volume.

@@ -8,10 +8,12 @@
 
 mod preintegrated;
 mod presets;
+mod suitable;
 mod table;
 
 pub use preintegrated::{PREINTEGRATED_SIZE, Preintegrated};
 pub use presets::{OWN_COLORS, Preset, Scale, list, preset};
+pub use suitable::{SuitablePreset, suitable_preset};
 pub use table::{GRADIENT_ENTRIES, TABLE_ENTRIES, TransferTable};
 
 use crate::volume::Volume;
@@ -56,6 +58,17 @@ pub struct GradientPoint {
     pub factor: f32,
 }
 
+/// What the values of presets without an absolute scale are fractions of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RelativeTo {
+    /// The object's values: the background is found and left out.
+    #[default]
+    Object,
+    /// All values, from the lowest one to the 99.8th percentile.
+    Range,
+}
+
 /// The `[transfer]` section of a scene: a preset, changes to it, or a curve of its own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -63,6 +76,10 @@ pub struct TransferSettings {
     /// Name of a preset; without one, chosen for the volume.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<String>,
+    /// What the values of presets without an absolute scale (mr-default and others) are fractions
+    /// of.
+    #[serde(skip_serializing_if = "is_default")]
+    pub relative_to: RelativeTo,
     /// Window width: the range of values that the curve spans, data units.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub window: Option<f64>,
@@ -85,6 +102,10 @@ pub struct TransferSettings {
     /// Blend mode instead of the preset's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub blend: Option<Blend>,
+}
+
+fn is_default(relative_to: &RelativeTo) -> bool {
+    *relative_to == RelativeTo::default()
 }
 
 /// A resolved transfer function, in data units.
@@ -117,7 +138,7 @@ impl TransferSettings {
             )
         })?;
         let mut function = if self.points.is_empty() {
-            preset.adapted_to(volume)
+            preset.adapted_to(volume, self.relative_to)
         } else {
             TransferFunction {
                 points: self.points.clone(),
@@ -238,16 +259,3 @@ impl TransferFunction {
 /// Range of presence over which a label becomes visible: narrow around one half, so that surfaces
 /// lie between voxels.
 const PRESENCE: [f64; 2] = [0.4, 0.6];
-
-/// The preset that suits a volume if none is named: Hounsfield units are recognised by their air.
-pub fn default_preset(volume: &Volume) -> &'static str {
-    if volume.colors.is_some() {
-        OWN_COLORS
-    } else if volume.labels().is_some() {
-        "labels"
-    } else if volume.range[0] <= -500.0 && volume.range[1] >= 300.0 {
-        "ct-bone"
-    } else {
-        "mr-default"
-    }
-}

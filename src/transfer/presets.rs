@@ -1,19 +1,20 @@
 //! Presets under commonly used names. The tables are our own.
 //!
 //! CT presets are in Hounsfield units. MR and other modalities have no absolute scale: their
-//! presets are fractions of the volume's range, from its lowest value (0) to the 99.8th percentile
-//! of the foreground (1), so that a few bright voxels (a vessel, an artefact) do not darken
-//! everything else.
+//! presets are fractions of the object's values, from the background's median (0) to the 99.8th
+//! percentile of the object (1), so that a few bright voxels (a vessel, an artefact) do not darken
+//! everything else. A curve that would begin in the background begins where the object does
+//! ([`Foreground`]).
 
-use super::{Blend, ControlPoint, GradientPoint, TransferFunction};
-use crate::volume::Volume;
+use super::{Blend, ControlPoint, GradientPoint, RelativeTo, TransferFunction};
+use crate::volume::{Foreground, Volume};
 
 /// The scale of a preset's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Data units as they are.
     Absolute,
-    /// 0 = the volume's lowest value, 1 = its robust maximum.
+    /// 0 = the background, 1 = the object's robust maximum.
     Relative,
 }
 
@@ -54,6 +55,8 @@ macro_rules! preset {
 
 /// The preset of volumes whose voxels have colours of their own.
 pub const OWN_COLORS: &str = "color";
+/// The preset of label maps.
+const LABELS: &str = "labels";
 
 const PRESETS: &[Preset] = &[
     preset!(
@@ -501,29 +504,8 @@ pub fn preset(name: &str) -> Option<&'static Preset> {
 
 impl Preset {
     /// The curve in a volume's data units.
-    pub fn adapted_to(&self, volume: &Volume) -> TransferFunction {
-        let [low, span] = match self.scale {
-            // Luminance or opacity over the whole range of its type, even if only part of it is
-            // used.
-            _ if self.name == OWN_COLORS && volume.colors.is_some() && volume.range[1] > 1.5 => [0.0, 255.0],
-            // Inverted DICOM images (MONOCHROME1) are bright where values are low.
-            Scale::Relative if volume.inverted => {
-                let histogram = volume.histogram(1024);
-                [
-                    volume.range[1],
-                    histogram.percentile(0.002, true) - volume.range[1],
-                ]
-            }
-            Scale::Absolute => [0.0, 1.0],
-            Scale::Relative if self.name == "labels" => [volume.range[0], volume.range[1] - volume.range[0]],
-            Scale::Relative => {
-                let histogram = volume.histogram(1024);
-                [
-                    volume.range[0],
-                    histogram.percentile(0.998, true) - volume.range[0],
-                ]
-            }
-        };
+    pub fn adapted_to(&self, volume: &Volume, relative_to: RelativeTo) -> TransferFunction {
+        let [low, span] = self.scale_for(volume, relative_to);
         let mut points: Vec<ControlPoint> = self
             .points
             .iter()
@@ -533,6 +515,13 @@ impl Preset {
                 opacity,
             })
             .collect();
+        if self.scale == Scale::Relative
+            && self.name != LABELS
+            && relative_to == RelativeTo::Object
+            && let Some(object) = volume.foreground()
+        {
+            start_at_object(&mut points, &object);
+        }
         if span < 0.0 {
             points.reverse();
         }
@@ -549,6 +538,56 @@ impl Preset {
             gradient_opacity,
             blend: self.blend,
         }
+    }
+
+    /// The data value of the preset's 0, and data units per unit of the preset.
+    fn scale_for(&self, volume: &Volume, relative_to: RelativeTo) -> [f64; 2] {
+        let [lowest, highest] = volume.range;
+        match self.scale {
+            // Luminance or opacity over the whole range of its type, even if only part of it is
+            // used.
+            _ if self.name == OWN_COLORS && volume.colors.is_some() && highest > 1.5 => [0.0, 255.0],
+            Scale::Relative if self.name == LABELS => [lowest, highest - lowest],
+            Scale::Absolute if relative_to == RelativeTo::Object && self.name.starts_with("ct-") => {
+                [volume.hounsfield_zero().unwrap_or(0.0), 1.0]
+            }
+            Scale::Absolute => [0.0, 1.0],
+            Scale::Relative => match volume.foreground().filter(|_| relative_to == RelativeTo::Object) {
+                Some(object) => [object.background, object.extreme - object.background],
+                // Inverted DICOM images (MONOCHROME1) are bright where values are low.
+                None if volume.inverted => {
+                    let top = volume.histogram(1024).percentile(0.002, true);
+                    [highest, top - highest]
+                }
+                None => [lowest, volume.histogram(1024).percentile(0.998, true) - lowest],
+            },
+        }
+    }
+}
+
+/// Moves the start of a curve to where the object begins, if it lies before it: what is noise or a
+/// holder stays transparent. The points beyond move in proportion.
+fn start_at_object(points: &mut [ControlPoint], object: &Foreground) {
+    let Some(start) = points
+        .windows(2)
+        .find(|pair| pair[1].opacity > 0.0)
+        .map(|pair| pair[0].value)
+    else {
+        return;
+    };
+    let depth = |value: f64| (value - object.background) / (object.extreme - object.background);
+    let (from, to) = (depth(start), depth(object.threshold));
+    if !(from < to && from < 1.0) {
+        return;
+    }
+    for p in points {
+        let x = depth(p.value);
+        let moved = if x <= from {
+            to - (from - x)
+        } else {
+            to + (x - from) * (1.0 - to) / (1.0 - from)
+        };
+        p.value = object.background + moved * (object.extreme - object.background);
     }
 }
 

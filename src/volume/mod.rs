@@ -7,6 +7,7 @@
 //! NaN or infinite voxel is empty and normalises below 0 (see [`VoxelGrid`]).
 
 mod colors;
+mod foreground;
 pub mod function;
 mod gradient;
 mod grid;
@@ -20,6 +21,7 @@ pub mod save;
 mod voxels;
 
 pub use colors::{Colors, Label, straight};
+pub use foreground::Foreground;
 pub use gradient::{GradientFilter, GradientVolume};
 pub use grid::{HOLE, Voxel, VoxelGrid, VoxelGridValues};
 pub use sampler::VolumeSampler;
@@ -90,6 +92,7 @@ pub struct SliceDisplacement {
 struct VolumeStatistics {
     histograms: Mutex<Vec<Arc<Histogram>>>,
     labels: OnceLock<Option<usize>>,
+    foreground: OnceLock<Option<Foreground>>,
 }
 
 impl Clone for VolumeStatistics {
@@ -134,6 +137,13 @@ pub struct Histogram {
     /// Voxels per bin.
     pub counts: Vec<u64>,
 }
+
+/// Value of water in Hounsfield units that were shifted to be positive.
+const SHIFTED_ZERO: f64 = 1024.0;
+/// Values of air in such units, at most.
+const SHIFTED_AIR: f64 = 120.0;
+/// Their largest value: 12 bits, and metal.
+const MAX_SHIFTED: f64 = 5000.0;
 
 impl Volume {
     /// A volume of the given voxels ([`Voxels`], or an [`Array3`](ndarray::Array3) of shape (k, j,
@@ -350,6 +360,48 @@ impl Volume {
             },
         );
         Histogram { low, high, counts }
+    }
+
+    /// What of the volume is the object; none if all its values are the same.
+    pub fn foreground(&self) -> Option<Foreground> {
+        *self
+            .statistics
+            .foreground
+            .get_or_init(|| foreground::foreground(self))
+    }
+
+    /// The data value of 0 Hounsfield units, where the values are Hounsfield units: as declared, or
+    /// shifted to be positive. Such scans are recognised by their range (air far below water, and
+    /// bone), and shifted ones also by the peak of soft tissue 1024 units above air.
+    pub fn hounsfield_zero(&self) -> Option<f64> {
+        let [low, high] = self.range;
+        if low <= -500.0 && high >= 300.0 {
+            return Some(0.0);
+        }
+        if !(low.abs() <= SHIFTED_AIR && (1300.0..=MAX_SHIFTED).contains(&high)) {
+            return None;
+        }
+        let histogram = self.histogram(1024);
+        let share = |from: f64, to: f64| {
+            let bin = |v: f64| {
+                let n = (v - low) / (high - low) * histogram.counts.len() as f64;
+                (n.max(0.0) as usize).min(histogram.counts.len())
+            };
+            histogram.counts[bin(from)..bin(to).max(bin(from))]
+                .iter()
+                .sum::<u64>() as f64
+        };
+        let tissue = share(SHIFTED_ZERO - 150.0, SHIFTED_ZERO + 110.0);
+        let other = share(SHIFTED_ZERO - 500.0, high + 1.0) - tissue;
+        let air = share(low, SHIFTED_AIR);
+        (tissue > 4.0 * other && air > 0.02 * self.voxels.len() as f64 && tissue > air * 0.05)
+            .then_some(SHIFTED_ZERO)
+    }
+
+    /// The modality that the source states (CT, MR, PT, ...), if it does.
+    pub fn modality(&self) -> Option<&str> {
+        let stated = self.details.iter().find(|(name, _)| *name == "modality");
+        stated.and_then(|(_, value)| value.as_str())
     }
 
     /// A value between the surroundings of a scanned body and the body itself: -300 for Hounsfield
