@@ -17,7 +17,7 @@ use incise::cpu;
 use incise::math::lanes::*;
 use incise::prepare::{Assets, Prepared};
 use incise::scene::{Deformation, Mode, Scene};
-use incise::volume::{VolumeSampler, VoxelGridValues};
+use incise::volume::VolumeSampler;
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::time::Instant;
@@ -39,7 +39,7 @@ fn milliseconds(mut work: impl FnMut()) -> [f64; 3] {
 }
 
 /// Fetches samples along lines through the volume, one voxel apart, as rays do, and nothing else.
-struct Fetch<'a>(&'a VolumeSampler<'a, i16>, usize);
+struct Fetch<'a>(&'a VolumeSampler<'a>, usize);
 
 impl SimdKernel for Fetch<'_> {
     type Output = f32;
@@ -66,10 +66,7 @@ impl SimdKernel for Fetch<'_> {
 }
 
 fn ceiling(assets: &Assets) {
-    let VoxelGridValues::I16(voxels) = &assets.grid().voxels else {
-        panic!("the phantom is of 16 bits")
-    };
-    let sampler = VolumeSampler::new(assets.grid(), voxels);
+    let sampler = VolumeSampler::new(assets.grid());
     let tasks = 8 * rayon::current_num_threads();
     let [_, ms, _] = milliseconds(|| {
         let sum: f32 = (0..tasks)

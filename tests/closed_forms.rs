@@ -10,7 +10,7 @@ use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::{Deformation, Mode, Normals, Projection, Scene, Size};
 use incise::transfer::{Blend, ControlPoint};
 use incise::volume::phantom::{self, BALL_RADIUS_MM};
-use incise::volume::{Rescale, Volume, VolumeSampler, VoxelGrid, VoxelGridValues, Voxels};
+use incise::volume::{Rescale, Volume, VolumeSampler, VoxelGrid, Voxels};
 use std::sync::Arc;
 
 pub fn assets(volume: Volume) -> Assets {
@@ -167,11 +167,7 @@ fn normal_at(prepared: &Prepared, grid: &VoxelGrid, deformed: Vec3, with_cut: bo
         return None;
     }
     let in_voxel = prepared.volume().voxel_from_world.transform_point3(jet.source);
-    let gradient = match &grid.voxels {
-        VoxelGridValues::F32(v) => VolumeSampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
-        VoxelGridValues::U8(v) => VolumeSampler::new(grid, v).gradient(in_voxel, prepared.gradient_filter()),
-        _ => panic!("phantoms are u8 or f32"),
-    };
+    let gradient = VolumeSampler::new(grid).gradient(in_voxel, prepared.gradient_filter());
     let gradient = shading::world_from_voxel_covector(prepared, gradient);
     let cut = if with_cut {
         shading::nearer_cut_shape(prepared, shading::nearest_cut(prepared, &jet, in_voxel), deformed)
@@ -274,10 +270,7 @@ pub fn normals_under_a_twist() {
         ..deformation("twist", [0.0; 3], [260.0, 260.0, 170.0], [10.0, 0.0, 0.0])
     });
     let prepared = Prepared::new(&s, &assets).unwrap();
-    let VoxelGridValues::F32(voxels) = &assets.grid().voxels else {
-        panic!()
-    };
-    let sampler = VolumeSampler::new(assets.grid(), voxels);
+    let sampler = VolumeSampler::new(assets.grid());
     let field = |p: Vec3| {
         let source = prepared.stack.source_from_deformed(p).unwrap();
         sampler.sample(prepared.volume().voxel_from_world.transform_point3(source))

@@ -1,7 +1,7 @@
 //! Stacks of many maps are composed within the requested bound, or else walked unchanged with a
 //! notice; the picture is the same.
 //!
-//! `INCISE_STACKS` sets the number of random stacks (12 by default), `INCISE_STACKS_KEEP` a folder
+//! `INCISE_STACKS` sets the number of random stacks (6 by default), `INCISE_STACKS_KEEP` a folder
 //! in which failing ones are saved.
 
 use crate::contract::points;
@@ -105,7 +105,7 @@ fn within_8(a: &Picture, b: &Picture) -> f64 {
 }
 
 pub fn random_stacks_keep_their_bound() {
-    let count: u64 = std::env::var("INCISE_STACKS").map_or(12, |v| v.parse().unwrap());
+    let count: u64 = std::env::var("INCISE_STACKS").map_or(6, |v| v.parse().unwrap());
     let (mut made, mut whole, mut as_they_are, mut fallback_share) = (0, 0, 0, 0.0);
     let mut complaints = Vec::new();
     for n in 0..count {

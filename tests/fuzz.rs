@@ -3,7 +3,7 @@
 //! error: never a panic, never more than 20 seconds, never an empty picture without a notice; and
 //! the GPU's picture must match the CPU's.
 //!
-//! `INCISE_FUZZ_SCENES` sets the number of scenes (300 by default), `INCISE_FUZZ_FIRST` the first:
+//! `INCISE_FUZZ_SCENES` sets the number of scenes (120 by default), `INCISE_FUZZ_FIRST` the first:
 //! a scene is determined by its number. `INCISE_FUZZ_KEEP` names a folder in which all scenes are
 //! saved.
 
@@ -531,7 +531,7 @@ fn exit_if_a_scene_hangs(current_scene: &'static AtomicU64) {
 
 pub fn random_scenes_do_no_harm() {
     let (count, first) = (
-        number_from("INCISE_FUZZ_SCENES", 300),
+        number_from("INCISE_FUZZ_SCENES", 120),
         number_from("INCISE_FUZZ_FIRST", 0),
     );
     let files = Files::new();

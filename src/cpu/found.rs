@@ -5,7 +5,6 @@
 use super::packet::{PacketSampler, SamplePacket};
 use super::packet_shading::{PreviousSamples, ScalarSample, ShadingRays};
 use crate::math::lanes::*;
-use crate::volume::Voxel;
 
 /// Counts how many samples of the packets so far found something to shade. Where few did, gradients
 /// are fetched only for those rather than with every value. The picture does not depend on it.
@@ -149,7 +148,7 @@ impl<S: Simd> ShadedSamples<S> {
     }
 }
 
-impl<T: Voxel> PacketSampler<'_, T> {
+impl PacketSampler<'_> {
     /// Which samples have something to shade: those that are visible, and those that may lie at the
     /// face of a cut.
     #[inline(always)]
@@ -193,9 +192,24 @@ impl<T: Voxel> PacketSampler<'_, T> {
         }
     }
 
-    /// Shades the samples found.
-    #[inline(always)]
+    /// Shades the samples found. Not inlined: one copy for slices and rays, and functions small
+    /// enough for the compiler.
+    #[inline(never)]
     pub(super) fn shade_found<S: Simd>(
+        &self,
+        simd: S,
+        rays: &ShadingRays<S>,
+        found: &FoundSamples<S>,
+        fetch_policy: &mut FetchPolicy,
+    ) -> ShadedSamples<S> {
+        simd.vectorize(
+            #[inline(always)]
+            || self.shade_found_inlined(simd, *rays, found, fetch_policy),
+        )
+    }
+
+    #[inline(always)]
+    fn shade_found_inlined<S: Simd>(
         &self,
         simd: S,
         rays: ShadingRays<S>,

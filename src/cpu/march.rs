@@ -23,7 +23,6 @@ use super::packet_shading::{PreviousSamples, ShadingRays};
 use super::{IntensityProjection, MIN_TRANSMITTANCE};
 use crate::math::lanes::*;
 use crate::picture::RenderStats;
-use crate::volume::Voxel;
 use glam::{Mat3, Vec3};
 
 /// A packet of eight rays.
@@ -56,7 +55,7 @@ fn sum<S: Simd>(v: f32x8<S>) -> u64 {
     v.as_slice().iter().sum::<f32>() as u64
 }
 
-impl<T: Voxel> PacketSampler<'_, T> {
+impl PacketSampler<'_> {
     /// Marches through the volume along eight rays; returns premultiplied colours.
     #[inline(always)]
     pub fn march<S: Simd>(
@@ -338,7 +337,7 @@ impl<T: Voxel> PacketSampler<'_, T> {
             half: rays.half,
             step: rays.step,
         };
-        let shaded = self.shade_found(simd, shading_rays, found, fetch_policy);
+        let shaded = self.shade_found(simd, &shading_rays, found, fetch_policy);
         let ShadedSamples {
             color,
             visible,

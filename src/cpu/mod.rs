@@ -44,7 +44,7 @@ use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
 use crate::scene::{Antialias, Mode};
 use crate::transfer::Blend;
-use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
+use crate::volume::VolumeSampler;
 use crate::{Result, Watch};
 use found::{FetchPolicy, pixel_shift};
 use glam::Vec3;
@@ -86,28 +86,8 @@ fn render_rows(scene: &Prepared, watch: &Watch) -> (Picture, RenderStats, StageT
     let mut stages = StageTimes::default();
     scene.stack.fetch_texels();
     let gradients = stages.time("gradients", || scene.gradients_for_picture());
-    let (picture, stats) = stages.time("render", || match &scene.volume().grid.voxels {
-        VoxelGridValues::U8(v) => rows(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
-            watch,
-        ),
-        VoxelGridValues::U16(v) => rows(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
-            watch,
-        ),
-        VoxelGridValues::I16(v) => rows(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
-            watch,
-        ),
-        VoxelGridValues::F32(v) => rows(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, v).with_gradients(gradients),
-            watch,
-        ),
-    });
+    let sampler = VolumeSampler::new(scene.volume().grid).with_gradients(gradients);
+    let (picture, stats) = stages.time("render", || rows(scene, &sampler, watch));
     (picture.reduced(scene.settings.antialias.grid()), stats, stages)
 }
 
@@ -123,7 +103,7 @@ struct Strip<'a> {
 }
 
 /// Draws a picture by strips of rows, on all threads.
-fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -> (Picture, RenderStats) {
+fn rows(scene: &Prepared, sampler: &VolumeSampler, watch: &Watch) -> (Picture, RenderStats) {
     let [width, height] = scene.frame.size;
     let mut pixels = vec![[0.0f32; 4]; width as usize * height as usize];
     let done = AtomicUsize::new(0);
@@ -180,12 +160,12 @@ fn rows<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, watch: &Watch) -
 }
 
 /// A strip drawn by rays.
-struct RayStrip<'a, T> {
-    sampler: &'a PacketSampler<'a, T>,
+struct RayStrip<'a> {
+    sampler: &'a PacketSampler<'a>,
     strip: Strip<'a>,
 }
 
-impl<T: Voxel> SimdKernel for RayStrip<'_, T> {
+impl SimdKernel for RayStrip<'_> {
     type Output = RenderStats;
 
     #[inline(always)]
@@ -257,7 +237,7 @@ impl<S: Simd> Positions<S> {
     }
 }
 
-impl<T: Voxel> PacketSampler<'_, T> {
+impl PacketSampler<'_> {
     /// The colours of eight positions by rays, premultiplied. One copy for whole pictures and for
     /// single samples.
     #[inline(never)]
@@ -338,7 +318,7 @@ struct SceneSample {
 
 /// Samples a point of the deformed scene.
 #[inline(always)]
-fn sample_scene<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, deformed: Vec3) -> SceneSample {
+fn sample_scene(scene: &Prepared, sampler: &VolumeSampler, deformed: Vec3) -> SceneSample {
     if scene.cuts.signed_distance_mm(deformed) < 0.0 {
         return SceneSample {
             in_voxel: Vec3::ZERO,

@@ -5,7 +5,7 @@ use super::SceneSample;
 use crate::math::lanes::*;
 use crate::prepare::Prepared;
 use crate::transfer::{Blend, Preintegrated};
-use crate::volume::{VolumeSampler, Voxel};
+use crate::volume::VolumeSampler;
 use glam::{Mat3, Vec3};
 
 /// The samples at eight points of the deformed scene; see [`super::SceneSample`].
@@ -31,9 +31,9 @@ pub(super) struct SamplePacket<S: Simd> {
 }
 
 /// Samples packets of points of one picture.
-pub struct PacketSampler<'a, T> {
+pub struct PacketSampler<'a> {
     pub(super) scene: &'a Prepared<'a>,
-    pub(super) sampler: &'a VolumeSampler<'a, T>,
+    pub(super) sampler: &'a VolumeSampler<'a>,
     /// Distance from the volume's faces, in voxels along each axis, within which these have an
     /// effect.
     pub(super) face_margin_voxels: Vec3,
@@ -52,9 +52,9 @@ pub struct PacketSampler<'a, T> {
     pub(super) preintegrated: Option<Preintegrated>,
 }
 
-impl<'a, T: Voxel> PacketSampler<'a, T> {
+impl<'a> PacketSampler<'a> {
     /// Computes everything that does not depend on the ray.
-    pub fn new(scene: &'a Prepared, sampler: &'a VolumeSampler<'a, T>) -> Self {
+    pub fn new(scene: &'a Prepared, sampler: &'a VolumeSampler<'a>) -> Self {
         let world_from_covector = Mat3::from(scene.volume().voxel_from_world.matrix3).transpose();
         Self {
             scene,

@@ -8,7 +8,6 @@ use super::shading::{
 };
 use crate::math::lanes::*;
 use crate::scene::Normals;
-use crate::volume::Voxel;
 use glam::Vec3;
 
 /// A colour lit by its normal where there is a surface, and evenly where there is none.
@@ -24,7 +23,7 @@ fn lit<S: Simd>(
     (lit - dull).mul_add(confidence, dull).max(0.0).min(1.0)
 }
 
-impl<T: Voxel> PacketSampler<'_, T> {
+impl PacketSampler<'_> {
     /// A sample that is not plain.
     #[inline(never)]
     pub(super) fn shade_scalar(

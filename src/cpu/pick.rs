@@ -9,7 +9,7 @@ use super::{SceneSample, first_sample_after, sample_scene, shading, surface};
 use crate::math::normalize_or;
 use crate::prepare::Prepared;
 use crate::scene::Mode;
-use crate::volume::{VolumeSampler, Voxel, VoxelGridValues};
+use crate::volume::VolumeSampler;
 use glam::Vec3;
 
 /// Fraction of a ray's light that is lost at the picked point.
@@ -32,41 +32,13 @@ pub struct Pick {
 /// range, data units. None where nothing is visible.
 pub fn at(scene: &Prepared, range: [f64; 2], u: f32, v: f32) -> Option<Pick> {
     let (origin, direction) = scene.frame.view.ray(u, v);
-    match &scene.volume().grid.voxels {
-        VoxelGridValues::U8(voxels) => along(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, voxels),
-            range,
-            origin,
-            direction,
-        ),
-        VoxelGridValues::U16(voxels) => along(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, voxels),
-            range,
-            origin,
-            direction,
-        ),
-        VoxelGridValues::I16(voxels) => along(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, voxels),
-            range,
-            origin,
-            direction,
-        ),
-        VoxelGridValues::F32(voxels) => along(
-            scene,
-            &VolumeSampler::new(scene.volume().grid, voxels),
-            range,
-            origin,
-            direction,
-        ),
-    }
+    let sampler = VolumeSampler::new(scene.volume().grid);
+    along(scene, &sampler, range, origin, direction)
 }
 
-fn along<T: Voxel>(
+fn along(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     range: [f64; 2],
     origin: Vec3,
     direction: Vec3,
@@ -113,9 +85,9 @@ fn along<T: Voxel>(
 }
 
 /// The first sample along a ray at which enough light is lost.
-fn first_visible_sample<T: Voxel>(
+fn first_visible_sample(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     origin: Vec3,
     direction: Vec3,
     until: f32,

@@ -12,16 +12,15 @@ use crate::Watch;
 use crate::math::lanes::*;
 use crate::picture::Picture;
 use crate::picture::antialias::AdaptiveSamples;
-use crate::volume::Voxel;
 use rayon::prelude::*;
 
 /// Edges of a tile, pixels.
 const TILE: [u32; 2] = [32, 8];
 
 /// A picture of one sample per pixel with the additional samples.
-pub(super) fn refined<T: Voxel>(
-    sampler: &PacketSampler<T>,
-    slicer: Option<&Slicer<T>>,
+pub(super) fn refined(
+    sampler: &PacketSampler,
+    slicer: Option<&Slicer>,
     picture: Picture,
     mut stats: RenderStats,
     watch: &Watch,
@@ -71,13 +70,13 @@ pub(super) fn refined<T: Voxel>(
 }
 
 /// Samples at some positions of the picture that lie close together.
-struct SampleList<'a, T> {
-    sampler: &'a PacketSampler<'a, T>,
-    slicer: Option<&'a Slicer<'a, T>>,
+struct SampleList<'a> {
+    sampler: &'a PacketSampler<'a>,
+    slicer: Option<&'a Slicer<'a>>,
     positions: Vec<[f32; 2]>,
 }
 
-impl<T: Voxel> SimdKernel for SampleList<'_, T> {
+impl SimdKernel for SampleList<'_> {
     type Output = (Vec<[f32; 4]>, RenderStats);
 
     #[inline(always)]

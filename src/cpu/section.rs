@@ -7,7 +7,7 @@
 
 use crate::deform::StackAndCuts;
 use crate::math::to_f32;
-use crate::volume::{Volume, VolumeSampler, Voxel, VoxelGrid, VoxelGridValues};
+use crate::volume::{Volume, VolumeSampler, VoxelGrid};
 use crate::{Result, Watch};
 use glam::{Affine3A, Vec3};
 use rayon::prelude::*;
@@ -78,12 +78,7 @@ pub fn sample(
         plane,
         determinants,
     };
-    let section = match &grid.voxels {
-        VoxelGridValues::U8(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
-        VoxelGridValues::U16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
-        VoxelGridValues::I16(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
-        VoxelGridValues::F32(v) => rows(volume, grid, &VolumeSampler::new(grid, v), &request, watch),
-    };
+    let section = rows(volume, grid, &VolumeSampler::new(grid), &request, watch);
     watch.check()?;
     Ok(section)
 }
@@ -100,10 +95,10 @@ struct SectionRequest<'a> {
     determinants: bool,
 }
 
-fn rows<T: Voxel>(
+fn rows(
     volume: &Volume,
     grid: &VoxelGrid,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     request: &SectionRequest,
     watch: &Watch,
 ) -> Section {
@@ -147,8 +142,8 @@ fn rows<T: Voxel>(
     }
 }
 
-fn at<T: Voxel>(
-    sampler: &VolumeSampler<T>,
+fn at(
+    sampler: &VolumeSampler,
     voxel_from_world: &Affine3A,
     top: Vec3,
     deformed: Option<StackAndCuts>,

@@ -41,7 +41,7 @@ use crate::deform::{Jet, NearestCut};
 use crate::math::{normalize_or, smoothstep};
 use crate::prepare::Prepared;
 use crate::scene::{IsoLight, Normals};
-use crate::volume::{VolumeSampler, Voxel};
+use crate::volume::VolumeSampler;
 use glam::{Mat3, Vec3};
 
 /// A sample's lit colour, and the factor on its optical depth.
@@ -102,9 +102,9 @@ pub(super) fn visible_sample(scene: &Prepared, at: &SceneSample, deformed: Vec3)
 }
 
 /// Shades a visible sample, seen along `direction` with samples every `step_mm`.
-pub fn shade<T: Voxel>(
+pub fn shade(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     sample: &VisibleSample,
     direction: Vec3,
     step_mm: f32,
@@ -140,9 +140,9 @@ pub(super) const CUT_LOOKBACK_STEPS: u32 = 4;
 
 /// A cut near a sample inside the material, if the ray came out of it; none if the ray has passed
 /// another surface since, or heads towards the cut.
-fn cut_in_front<T: Voxel>(
+fn cut_in_front(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     sample: &VisibleSample,
     cut: NearestCut,
     direction: Vec3,
@@ -172,12 +172,7 @@ fn cut_in_front<T: Voxel>(
 }
 
 /// Shades the point at which a ray enters the material.
-fn shade_entry<T: Voxel>(
-    scene: &Prepared,
-    sampler: &VolumeSampler<T>,
-    entry: &SurfaceEntry,
-    direction: Vec3,
-) -> Shaded {
+fn shade_entry(scene: &Prepared, sampler: &VolumeSampler, entry: &SurfaceEntry, direction: Vec3) -> Shaded {
     let first = &entry.first;
     let jet = jet(scene, first.deformed);
     let cut = if entry.through_cut {
@@ -197,9 +192,9 @@ fn own_color(scene: &Prepared, in_voxel: Vec3) -> Option<Vec3> {
 }
 
 /// Lighting and gradient opacity at a point.
-fn shade_point<T: Voxel>(
+fn shade_point(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     sample: &VisibleSample,
     jet: &Jet,
     cut: &NearestCut,
@@ -246,9 +241,9 @@ fn shade_point<T: Voxel>(
 ///
 /// Without this the thin end of an obliquely cut layer is hit or missed alternately, and its edge
 /// looks like a comb.
-pub(super) fn thin_layer_at_cut<T: Voxel>(
+pub(super) fn thin_layer_at_cut(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     deformed: Vec3,
     present: bool,
     direction: Vec3,
@@ -318,9 +313,9 @@ struct SurfaceEntry {
 
 /// If the previous sample is less than half as dense as this one, the ray has entered the material
 /// between the two; finds where, by bisection.
-fn entry<T: Voxel>(
+fn entry(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     sample: &VisibleSample,
     direction: Vec3,
     step_mm: f32,
@@ -410,9 +405,9 @@ fn is_cut(scene: &Prepared, deformed: Vec3) -> bool {
 
 /// The scan's grey value, by window and level, on the cut face that the ray came out of within the
 /// last step, if there is one.
-pub(super) fn grey_face<T: Voxel>(
+pub(super) fn grey_face(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     at: &SceneSample,
     deformed: Vec3,
     direction: Vec3,
@@ -441,7 +436,7 @@ pub(super) fn grey_face<T: Voxel>(
 /// Cosine of the angle between an iso-surface's normal and the light: the derivative of the
 /// deformed volume towards the light divided by the gradient's magnitude, by differences of
 /// samples. Needs neither the source's gradient nor the Jacobian.
-fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSampler<T>, at: Vec3) -> f32 {
+fn light_cosine_by_derivative(scene: &Prepared, sampler: &VolumeSampler, at: Vec3) -> f32 {
     let h = scene.frame.spacing.reference_mm;
     let value = |p: Vec3| {
         let at = super::sample_scene(scene, sampler, p);
@@ -461,9 +456,9 @@ fn light_cosine_by_derivative<T: Voxel>(scene: &Prepared, sampler: &VolumeSample
 
 /// Colour of the surface where the volume has the value `iso`, crossed within the step before
 /// `deformed` (\[RVD01\] section 3.3).
-pub(super) fn iso_surface<T: Voxel>(
+pub(super) fn iso_surface(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     iso: f32,
     deformed: Vec3,
     direction: Vec3,
@@ -515,9 +510,9 @@ pub(super) fn iso_surface<T: Voxel>(
 /// Next to a cut, the neighbouring sample on the cut's other side decides whether this one
 /// represents the rest of the path: it does if the neighbour is cut away. (The distance alone would
 /// count half a sample too much or too little wherever a sample lies exactly on the cut.)
-fn path_fraction<T: Voxel>(
+fn path_fraction(
     scene: &Prepared,
-    sampler: &VolumeSampler<T>,
+    sampler: &VolumeSampler,
     cut: &NearestCut,
     deformed: Vec3,
     direction: Vec3,

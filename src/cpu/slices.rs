@@ -30,7 +30,6 @@ use crate::math::lanes::*;
 use crate::picture::RenderStats;
 use crate::prepare::slices::{Slab, SlicePolygons};
 use crate::scene::{BlendFormat, Projection, SliceOrder};
-use crate::volume::Voxel;
 use glam::{Vec2, Vec3};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -39,8 +38,8 @@ use half::slice::HalfFloatSliceExt;
 const TILE_COLUMNS: usize = 32;
 
 /// What all tiles of a picture share.
-pub(super) struct Slicer<'a, T> {
-    sampler: &'a PacketSampler<'a, T>,
+pub(super) struct Slicer<'a> {
+    sampler: &'a PacketSampler<'a>,
     slices: SlicePolygons,
     /// Whether slices sample surfaces, and a volume.
     has_surfaces: bool,
@@ -49,8 +48,8 @@ pub(super) struct Slicer<'a, T> {
     outlines: Vec<Outline>,
 }
 
-impl<'a, T: Voxel> Slicer<'a, T> {
-    pub(super) fn new(sampler: &'a PacketSampler<'a, T>) -> Self {
+impl<'a> Slicer<'a> {
+    pub(super) fn new(sampler: &'a PacketSampler<'a>) -> Self {
         let scene = sampler.scene;
         let frame = &scene.frame;
         let slices = scene.slice_polygons();
@@ -74,8 +73,8 @@ impl<'a, T: Voxel> Slicer<'a, T> {
 }
 
 /// A strip drawn by slices.
-pub(super) struct SliceStrip<'a, T> {
-    pub(super) slicer: &'a Slicer<'a, T>,
+pub(super) struct SliceStrip<'a> {
+    pub(super) slicer: &'a Slicer<'a>,
     pub(super) strip: Strip<'a>,
 }
 
@@ -142,7 +141,7 @@ struct SlabFragments<S: Simd> {
     any: mask32x8<S>,
 }
 
-impl<T: Voxel> SimdKernel for SliceStrip<'_, T> {
+impl SimdKernel for SliceStrip<'_> {
     type Output = RenderStats;
 
     #[inline(always)]
@@ -178,7 +177,7 @@ impl<T: Voxel> SimdKernel for SliceStrip<'_, T> {
     }
 }
 
-impl<T: Voxel> Slicer<'_, T> {
+impl Slicer<'_> {
     /// The colours of positions that lie close together, premultiplied. One copy for whole pictures
     /// and for single samples.
     #[inline(never)]
@@ -500,7 +499,7 @@ impl<T: Voxel> Slicer<'_, T> {
             else {
                 continue;
             };
-            let shaded = self.sampler.shade_found(simd, pixels.rays, &found, fetch_policy);
+            let shaded = self.sampler.shade_found(simd, &pixels.rays, &found, fetch_policy);
             let pass = shaded.transmittance(simd, pixels.length);
             let visible = shaded.visible;
             let weight = visible.select(layer.transmittance * (f32x8::splat(simd, 1.0) - pass), zero);

@@ -1,9 +1,12 @@
 //! Adaptive antialiasing: which pixels are sampled again, and where.
 //!
 //! *Theory*: one sample at the centre of each pixel shows where a picture varies. A pixel that
-//! differs visibly from a neighbour gets [`FIRST_OFFSETS`] more samples; if these disagree among
-//! themselves, [`FURTHER_OFFSETS`] as well. All other pixels retain their one sample. Differences
-//! are those that a viewer sees: of 8-bit colours over the background.
+//! differs visibly from the mean of the two pixels beside it, or of the two above and below it,
+//! gets [`FIRST_OFFSETS`] more samples (even shading, whose second difference is small, does not);
+//! if these disagree among themselves, [`FURTHER_OFFSETS`] as well. All other pixels retain their
+//! one sample. Differences are those that a viewer sees: of colours over the background, and of
+//! opacity where that is transparent. Where two surfaces at different depths have one colour, a
+//! mixture of both has it too; hence depth and identity are not compared.
 //!
 //! *How to call it*: start with a picture of one sample per pixel, sample
 //! [`pixels`](AdaptiveSamples::pixels) at the [`offsets`](AdaptiveSamples::offsets) of each round,
@@ -13,10 +16,10 @@
 use super::Picture;
 use rayon::prelude::*;
 
-/// A difference between neighbouring pixels from which both are sampled again, of 1.
-const NEIGHBOR_DIFFERENCE: f32 = 8.0 / 255.0;
+/// A second difference, of 1, from which a pixel is sampled again.
+const PIXEL_DIFFERENCE: f32 = 24.0 / 255.0;
 /// A difference between the samples of a pixel from which it gets all further ones.
-const SAMPLE_DIFFERENCE: f32 = 16.0 / 255.0;
+const SAMPLE_DIFFERENCE: f32 = 64.0 / 255.0;
 
 /// Position of a sample of a canonical arrangement (Chiu, Shirley, Wang 1994, "Multi-jittered
 /// sampling"): cell (i, j) of 4 by 4, no two of the 16 in the same sixteenth of a row or column.
@@ -153,7 +156,7 @@ impl AdaptiveSamples {
         ]
     }
 
-    /// The pixels that differ from one of their eight neighbours.
+    /// The pixels at which the picture is neither even nor an even slope.
     fn pixels_unlike_neighbors(&self) -> Vec<u32> {
         let (width, height) = (self.picture.width as usize, self.picture.height as usize);
         let shown: Vec<[f32; 4]> = self
@@ -162,20 +165,109 @@ impl AdaptiveSamples {
             .par_iter()
             .map(|p| self.displayed(*p))
             .collect();
-        let unlike =
-            |a: usize, b: usize| (0..4).any(|c| (shown[a][c] - shown[b][c]).abs() > NEIGHBOR_DIFFERENCE);
-        (0..height)
+        let differs = |n: usize, a: usize, b: usize| {
+            (0..4).any(|c| (shown[a][c] + shown[b][c] - 2.0 * shown[n][c]).abs() > PIXEL_DIFFERENCE)
+        };
+        let is_unlike = |n: &usize| {
+            let (x, y) = (n % width, n / width);
+            let (left, right) = (n - usize::from(x > 0), n + usize::from(x + 1 < width));
+            let up = if y > 0 { n - width } else { *n };
+            let down = if y + 1 < height { n + width } else { *n };
+            differs(*n, left, right) || differs(*n, up, down)
+        };
+        (0..width * height)
             .into_par_iter()
-            .flat_map_iter(|y| {
-                let rows = y.saturating_sub(1)..(y + 2).min(height);
-                (0..width).filter_map(move |x| {
-                    let mut around = rows
-                        .clone()
-                        .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(width)).map(move |u| v * width + u));
-                    let n = y * width + x;
-                    around.any(|m| unlike(n, m)).then_some(n as u32)
-                })
-            })
+            .filter(is_unlike)
+            .map(|n| n as u32)
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BACKGROUND: [f32; 4] = [0.1, 0.1, 0.1, 1.0];
+
+    /// A picture whose samples are given by a function of the position.
+    fn refined(size: u32, color: impl Fn(f32, f32) -> [f32; 4]) -> (Picture, Picture, Vec<usize>) {
+        let center = |n: u32| ((n % size) as f32 + 0.5, (n / size) as f32 + 0.5);
+        let plain = Picture {
+            width: size,
+            height: size,
+            pixels: (0..size * size)
+                .map(|n| color(center(n).0, center(n).1))
+                .collect(),
+        };
+        let mut samples = AdaptiveSamples::new(plain.clone(), BACKGROUND);
+        let mut counts = Vec::new();
+        while !samples.pixels().is_empty() {
+            let offsets = samples.offsets();
+            let colors: Vec<_> = samples
+                .pixels()
+                .iter()
+                .flat_map(|&n| offsets.iter().map(move |o| (center(n), o)))
+                .map(|((x, y), [dx, dy])| color(x + dx, y + dy))
+                .collect();
+            counts.push(samples.pixels().len());
+            samples.add(&colors);
+        }
+        (plain, samples.finish(), counts)
+    }
+
+    #[test]
+    fn every_cell_of_a_pixel_has_one_sample() {
+        let mut cells = [0; 16];
+        let (mut rows, mut columns) = ([0; 16], [0; 16]);
+        for [x, y] in FIRST_OFFSETS.into_iter().chain(FURTHER_OFFSETS) {
+            let part = |v: f32, n: f32| ((v + 0.5) * n) as usize;
+            cells[part(y, 4.0) * 4 + part(x, 4.0)] += 1;
+            rows[part(y, 16.0)] += 1;
+            columns[part(x, 16.0)] += 1;
+        }
+        assert_eq!((cells, rows, columns), ([1; 16], [1; 16], [1; 16]));
+        let sum = FIRST_OFFSETS
+            .into_iter()
+            .fold([0.0; 2], |s, o| [s[0] + o[0], s[1] + o[1]]);
+        assert!(sum.iter().all(|s: &f32| s.abs() < 1e-6), "{sum:?}");
+    }
+
+    /// The coverage of pixels by a half plane, exact by its signed distance for edges that are
+    /// nearly vertical.
+    #[test]
+    fn an_edge_is_covered_within_a_sixteenth() {
+        let slope = 0.07;
+        let edge = |y: f32| 11.3 + slope * y;
+        let (plain, picture, counts) = refined(32, |x, y| {
+            if x < edge(y) {
+                [0.9, 0.8, 0.7, 1.0]
+            } else {
+                [0.0; 4]
+            }
+        });
+        // Only pixels beside the edge, all of them twice.
+        assert_eq!(counts[0], 64);
+        assert!(counts[1] >= 30 && counts[1] <= 64, "{counts:?}");
+        for y in 0..32u32 {
+            for x in 0..32u32 {
+                let share = (edge(y as f32 + 0.5) - x as f32).clamp(0.0, 1.0);
+                let n = (y * 32 + x) as usize;
+                let error = (picture.pixels[n][3] - share).abs();
+                assert!(error <= 1.0 / 16.0 + slope, "{x} {y}: {error}");
+                if share == 0.0 || share == 1.0 {
+                    assert_eq!(picture.pixels[n], plain.pixels[n]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn even_shading_is_sampled_once() {
+        let (plain, picture, counts) = refined(24, |x, y| {
+            let v = 0.02 * x + 0.01 * y;
+            [v, v, v, 1.0]
+        });
+        assert!(counts.is_empty(), "{counts:?}");
+        assert_eq!(picture, plain);
     }
 }

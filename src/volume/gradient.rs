@@ -231,10 +231,7 @@ mod tests {
             .collect();
         let volume = Volume::new(Voxels::new([5; 3], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else {
-            panic!()
-        };
-        let s = VolumeSampler::new(&grid, v);
+        let s = VolumeSampler::new(&grid);
         let want = Vec3::new(2.0, 1.0, -3.0) / 24.0;
         for filter in [GradientFilter::Central, GradientFilter::Sobel] {
             let got = s.gradient(Vec3::new(2.2, 1.9, 2.0), filter);
@@ -247,8 +244,8 @@ mod tests {
     /// ones, and those with a gradient volume equal those without, bit for bit.
     #[test]
     fn gradients_are_the_samplers() {
-        struct GradientKernel<'a, T>(&'a VolumeSampler<'a, T>, [Vec3; LANES]);
-        impl<T: Voxel> SimdKernel for GradientKernel<'_, T> {
+        struct GradientKernel<'a>(&'a VolumeSampler<'a>, [Vec3; LANES]);
+        impl SimdKernel for GradientKernel<'_> {
             type Output = ([f32; LANES], [Vec3; LANES]);
             #[inline(always)]
             fn run<S: Simd>(self, simd: S) -> Self::Output {
@@ -263,10 +260,10 @@ mod tests {
             }
         }
         fn check<T: Voxel>(grid: &VoxelGrid, voxels: &ArcArray3<T>, note: &str) {
-            let s = VolumeSampler::new(grid, voxels);
+            let s = VolumeSampler::new(grid);
             let gradients = GradientVolume::new(grid);
             assert_eq!(gradients.is_none(), note == "none", "{note}");
-            let with = VolumeSampler::new(grid, voxels).with_gradients(gradients.as_ref());
+            let with = VolumeSampler::new(grid).with_gradients(gradients.as_ref());
             let size = grid.size;
             for (n, voxel) in voxels.iter().enumerate() {
                 let at = Vec3::new(

@@ -11,12 +11,13 @@
 
 use super::function::VolumeFunction;
 use super::grid::Neighborhood;
+use super::sampler::{VoxelSlice, with_voxels};
 use super::{GradientFilter, VolumeSampler, Voxel};
 use crate::math::cells::{Cells, Strides, mix_rows, mix_texels};
 use crate::math::lanes::*;
 use prefetch_index::prefetch_index;
 
-impl<T: Voxel> VolumeSampler<'_, T> {
+impl VolumeSampler<'_> {
     /// Whether every axis has at least `n` voxels.
     #[inline(always)]
     fn is_at_least(&self, n: usize) -> bool {
@@ -38,8 +39,9 @@ impl<T: Voxel> VolumeSampler<'_, T> {
             return f32x8::load_array(simd, values);
         }
         let Cells { base, f } = Cells::of(p, self.size, 0);
-        mix_rows(T::cells(simd, self.voxels, &base, Strides::of(self.size)), f)
-            .mul_add(self.scale, self.offset)
+        let strides = Strides::of(self.size);
+        let rows = with_voxels!(self.voxels, v => Voxel::cells(simd, v, &base, strides));
+        mix_rows(rows, f).mul_add(self.scale, self.offset)
     }
 
     /// Normalised values at eight positions in voxels, and the differences f(+1) - f(-1) of stored
@@ -135,7 +137,7 @@ impl<T: Voxel> VolumeSampler<'_, T> {
             rows: [a, b, c, d],
             neighbors_y,
             neighbors_z,
-        } = T::around(simd, self.voxels, &cells.base, Strides::of(self.size));
+        } = with_voxels!(self.voxels, v => Voxel::around(simd, v, &cells.base, Strides::of(self.size)));
         let x = mix_rows([across(a), across(b), across(c), across(d)], cells.f);
         let [below, above, below_on, above_on] = neighbors_y;
         let y = mix_rows(

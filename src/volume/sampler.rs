@@ -2,14 +2,51 @@
 //! [`super::lanes`] computes eight at once.
 
 use super::function::VolumeFunction;
-use super::{GradientFilter, GradientVolume, Voxel, VoxelGrid};
+use super::{GradientFilter, GradientVolume, Voxel, VoxelGrid, VoxelGridValues};
 use crate::math::flat;
 use glam::{Vec3, Vec4};
-use ndarray::ArcArray3;
 
-/// Sampling of one typed grid: trilinear, or by the grid's function.
-pub struct VolumeSampler<'a, T> {
-    pub(super) voxels: &'a [T],
+/// The voxels of a grid, i fastest.
+#[derive(Clone, Copy)]
+pub(super) enum VoxelSlice<'a> {
+    U8(&'a [u8]),
+    U16(&'a [u16]),
+    I16(&'a [i16]),
+    F32(&'a [f32]),
+}
+
+/// One expression for the voxels of each type: a branch that every sample of a picture takes alike.
+/// Renderers are compiled once for all types.
+macro_rules! with_voxels {
+    ($voxels:expr, $v:ident => $body:expr) => {
+        match $voxels {
+            VoxelSlice::U8($v) => $body,
+            VoxelSlice::U16($v) => $body,
+            VoxelSlice::I16($v) => $body,
+            VoxelSlice::F32($v) => $body,
+        }
+    };
+}
+pub(super) use with_voxels;
+
+impl<'a> VoxelSlice<'a> {
+    fn of(values: &'a VoxelGridValues) -> Self {
+        match values {
+            VoxelGridValues::U8(v) => Self::U8(flat(v)),
+            VoxelGridValues::U16(v) => Self::U16(flat(v)),
+            VoxelGridValues::I16(v) => Self::I16(flat(v)),
+            VoxelGridValues::F32(v) => Self::F32(flat(v)),
+        }
+    }
+
+    fn len(&self) -> usize {
+        with_voxels!(self, v => v.len())
+    }
+}
+
+/// Sampling of one grid: trilinear, or by the grid's function.
+pub struct VolumeSampler<'a> {
+    pub(super) voxels: VoxelSlice<'a>,
     pub(super) size: [usize; 3],
     /// Largest sample coordinate per axis, voxels.
     pub(super) top: Vec3,
@@ -21,10 +58,10 @@ pub struct VolumeSampler<'a, T> {
     pub(super) function: Option<&'a VolumeFunction>,
 }
 
-impl<'a, T: Voxel> VolumeSampler<'a, T> {
-    /// A sampler over the voxels of `grid`; these must belong to `grid`.
-    pub fn new(grid: &'a VoxelGrid, voxels: &'a ArcArray3<T>) -> Self {
-        let voxels = flat(voxels);
+impl<'a> VolumeSampler<'a> {
+    /// A sampler over the voxels of a grid.
+    pub fn new(grid: &'a VoxelGrid) -> Self {
+        let voxels = VoxelSlice::of(&grid.voxels);
         assert_eq!(voxels.len(), grid.size.iter().product::<usize>());
         let top = Vec3::from(grid.size.map(|n| (n - 1) as f32));
         Self {
@@ -57,7 +94,6 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
 
     /// Normalised value at a position in voxels, clamped to the outermost voxel centres like a
     /// texture unless it is that of a function.
-    #[inline(always)]
     pub fn sample(&self, point_in_voxel: Vec3) -> f32 {
         if let Some(function) = self.function {
             let [value] = function.values(&[point_in_voxel]);
@@ -72,9 +108,13 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
         let dj = if j + 1 < ny { nx } else { 0 };
         let dk = if k + 1 < nz { nx * ny } else { 0 };
         let base = (k * ny + j) * nx + i;
-        let at = |offset: usize| self.voxels[base + offset].to_f32();
-        let low = Vec4::new(at(0), at(dj), at(dk), at(dj + dk));
-        let high = Vec4::new(at(di), at(di + dj), at(di + dk), at(di + dj + dk));
+        let [low, high] = with_voxels!(self.voxels, v => {
+            let at = |offset: usize| v[base + offset].to_f32();
+            [
+                Vec4::new(at(0), at(dj), at(dk), at(dj + dk)),
+                Vec4::new(at(di), at(di + dj), at(di + dk), at(di + dj + dk)),
+            ]
+        });
         let x = low + (high - low) * f.x;
         let y0 = x.x + (x.y - x.x) * f.y;
         let y1 = x.z + (x.w - x.z) * f.y;
@@ -82,7 +122,7 @@ impl<'a, T: Voxel> VolumeSampler<'a, T> {
     }
 }
 
-impl<T: Voxel> VolumeSampler<'_, T> {
+impl VolumeSampler<'_> {
     /// Gradient of the normalised value per voxel along i, j, k.
     #[inline(always)]
     pub fn gradient(&self, p: Vec3, filter: GradientFilter) -> Vec3 {
@@ -122,7 +162,7 @@ impl<T: Voxel> VolumeSampler<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::volume::{Rescale, Volume, VoxelGridValues, Voxels};
+    use crate::volume::{Rescale, Volume, Voxels};
     use glam::DAffine3;
 
     #[test]
@@ -133,10 +173,7 @@ mod tests {
             DAffine3::IDENTITY,
         );
         let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else {
-            panic!()
-        };
-        let s = VolumeSampler::new(&grid, v);
+        let s = VolumeSampler::new(&grid);
         assert!(grid.has_holes);
         assert!(s.sample(Vec3::new(1.0, 0.0, 0.0)) < 0.0);
         assert!(s.sample(Vec3::new(0.1, 0.0, 0.0)) < 0.0);
@@ -150,10 +187,7 @@ mod tests {
             .collect();
         let volume = Volume::new(Voxels::new([3, 4, 5], voxels), Rescale::NONE, DAffine3::IDENTITY);
         let grid = VoxelGrid::new(&volume);
-        let VoxelGridValues::F32(v) = &grid.voxels else {
-            panic!()
-        };
-        let s = VolumeSampler::new(&grid, v);
+        let s = VolumeSampler::new(&grid);
         let p = Vec3::new(1.25, 2.5, 3.125);
         let want = (p.x + 10.0 * p.y - 4.0 * p.z + 16.0) / 48.0;
         assert!((s.sample(p) - want).abs() < 1e-6);

@@ -7,7 +7,7 @@ use glam::Vec3;
 use incise::math::Bounds;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::scene::{Deformation, Scene};
-use incise::volume::{GradientFilter, VolumeSampler, VoxelGridValues};
+use incise::volume::{GradientFilter, VolumeSampler};
 
 /// Source point, mask, Jacobian, cut, value, opacity and gradient computed by the shaders equal the
 /// CPU's, in a rotated, anisotropic placement.
@@ -63,10 +63,7 @@ fn numbers_of(kind: &str, prepared: &Prepared, assets: &Assets) {
     let at: Vec<[f32; 3]> = points(10_000).map(|x| ((x - 0.5) * 150.0).to_array()).collect();
     let probes = with_strategy(PREPARE, |r| r.probe(prepared, &at).unwrap());
     assert_eq!(probes.len(), at.len());
-    let VoxelGridValues::I16(voxels) = &assets.grid().voxels else {
-        panic!()
-    };
-    let sampler = VolumeSampler::new(assets.grid(), voxels);
+    let sampler = VolumeSampler::new(assets.grid());
     let (mut worst, mut moved) = ([0.0f32; 5], 0);
     for (p, probe) in at.iter().zip(&probes) {
         let p = Vec3::from(*p);

@@ -8,7 +8,7 @@ use incise::Watch;
 use incise::prepare::{PrepareOptions, Prepared};
 use incise::scene::{Antialias, Deformation, Scene};
 use incise::transfer::Blend;
-use incise::volume::{VolumeSampler, VoxelGridValues};
+use incise::volume::VolumeSampler;
 
 /// Points of cells marked empty are transparent; at points of cells marked clear no mask has an
 /// effect.
@@ -28,12 +28,7 @@ fn empty_is_empty(name: &str, prepared: &Prepared) {
         {
             return 0.0;
         }
-        let value = match &grid.voxels {
-            VoxelGridValues::U8(v) => VolumeSampler::new(grid, v).sample(at),
-            VoxelGridValues::U16(v) => VolumeSampler::new(grid, v).sample(at),
-            VoxelGridValues::I16(v) => VolumeSampler::new(grid, v).sample(at),
-            VoxelGridValues::F32(v) => VolumeSampler::new(grid, v).sample(at),
-        };
+        let value = VolumeSampler::new(grid).sample(at);
         match prepared.volume().iso {
             _ if prepared.volume().blend != Blend::Composite => 1.0,
             Some(iso) => f32::from(u8::from(value >= iso)),

@@ -94,7 +94,7 @@ pub fn skipping_loses_no_hit() {
         ("bunny", bunny),
     ];
     for (name, mut scene) in cases {
-        scene.render.size = [200, 200];
+        scene.render.size = [128, 128];
         scene.render.antialias = Antialias::OFF;
         if name != "bunny" {
             scene.camera.view = "30,20".parse().unwrap();
