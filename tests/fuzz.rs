@@ -105,7 +105,7 @@ struct Maker<'a> {
 impl Maker<'_> {
     fn scene(&mut self) -> toml::Table {
         let mut scene = self.table(self.schema, "");
-        scene.insert("incise".into(), Value::Integer(1));
+        scene.insert("incise".into(), Value::Integer(1 + self.random.below(2) as i64));
         // Most scenes show a volume, some a mesh, a few neither.
         if !self.random.chance(0.8) && scene.contains_key("mesh") {
             scene.remove("volume");
@@ -456,6 +456,7 @@ impl Maker<'_> {
                 4 => self.of_files(|f| &f.volumes),
                 _ => self.of_files(|f| &f.labels),
             },
+            ("render.antialias", _) => owned("adaptive"),
             ("volume.labels", _) => self.of_files(|f| &f.labels),
             ("volume.inside.path", _) => self.of_files(|f| &f.meshes),
             ("deformation.kind", _) => {

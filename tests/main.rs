@@ -8,6 +8,7 @@
 )]
 #![allow(missing_docs, reason = "tests say what they hold in their names")]
 
+mod antialias;
 mod architecture;
 mod closed_forms;
 mod command_line;
@@ -15,6 +16,7 @@ mod comparison;
 mod composition;
 mod contract;
 mod damage;
+mod defaults;
 mod dicom_out;
 #[cfg(feature = "gpu")]
 mod editing;
@@ -130,9 +132,13 @@ fn main() {
         oblique_ball_is_round_and_lit_alike, path_through_a_cut_slab_is_exact, composition_is_the_formula,
         depth_of_projections, holes_are_empty));
     all.extend(trials!(scenes:
-        every_scene_loads_and_comes_back, skipping_and_termination_change_nothing,
+        every_scene_loads_and_comes_back, every_version_is_read, skipping_and_termination_change_nothing,
         halving_the_step_changes_little, what_holds_a_volume_is_kept, cuts_are_lit_alike_at_every_step,
         order_of_deformations_matters, left_is_left, empty_pictures_say_why));
+    all.extend(trials!(antialias:
+        adaptive_pictures_approach_the_average, adaptive_pictures_are_the_same_on_any_number_of_threads));
+    all.extend(trials!(defaults:
+        the_first_picture_shows_the_object, the_range_alone_shows_a_box, shifted_hounsfield_units_are_recognised));
     all.extend(trials!(settings:
         every_setting_acts, settings_without_effect_are_named, every_setting_is_tested));
     all.extend(trials!(mapping:

@@ -12,7 +12,7 @@ use incise::cpu;
 use incise::gpu::{AdapterPreference, Device};
 use incise::prepare::{PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy};
-use incise::scene::{Antialias, CutFaces, Deformation, IsoLight, Mode, Scene};
+use incise::scene::{Antialias, CutFaces, Deformation, IsoLight, Mode, Scene, SliceOrder};
 use incise::transfer::{Blend, GradientPoint};
 use incise::volume::GradientFilter;
 use libtest_mimic::Trial;
@@ -89,6 +89,10 @@ pub fn trials() -> Vec<Trial> {
         ));
     }
     all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
+    all.push(gpu(
+        "parity::antialiasing_agrees".into(),
+        Box::new(antialiasing_agrees),
+    ));
     all.push(gpu(
         "filters::filters_agree".into(),
         Box::new(crate::filters::filters_agree),
@@ -213,6 +217,59 @@ fn scene_agrees(name: &str, mode: Mode) {
         &format!("{name} {mode:?}"),
         &Prepared::new(&scene, &assets).unwrap(),
     );
+}
+
+/// Adaptive antialiasing by rays (fragments and compute), slices and their projections, triangles,
+/// and triangles joined with rays.
+fn antialiasing_agrees() {
+    let check = |what: &str, name: &str, strategy: Option<Strategy>, change: &dyn Fn(&mut Scene)| {
+        let mut scene = scenes::load(name);
+        scene.render.size = [150, 130];
+        scene.render.antialias = Antialias::Adaptive;
+        change(&mut scene);
+        let assets = scenes::assets(&scene);
+        let prepared = Prepared::new(&scene, &assets).unwrap();
+        let plain = {
+            let mut plain = scene.clone();
+            plain.render.antialias = Antialias::OFF;
+            cpu::render(&Prepared::new(&plain, &assets).unwrap()).picture
+        };
+        let refined = cpu::render(&prepared).picture;
+        let changed = plain
+            .pixels
+            .iter()
+            .zip(&refined.pixels)
+            .filter(|(a, b)| a != b)
+            .count();
+        assert!(changed > 100, "{what}: {changed} pixels refined");
+        match strategy {
+            Some(strategy) => {
+                let by_gpu =
+                    with_strategy(strategy, |r| r.render(&prepared, false, &Watch::NONE).unwrap()).picture;
+                let d = difference(&refined, &by_gpu).unwrap();
+                assert!(
+                    d.mean <= 0.5 * STEP && d.within_4 >= 0.999,
+                    "{what}: {}",
+                    d.mean / STEP
+                );
+            }
+            None => agree(what, &prepared),
+        }
+    };
+    check("rays", "head-quadrant", None, &|_| ());
+    check("computed rays", "head-quadrant", Some(PREPARE), &|_| ());
+    check("slices", "head-quadrant", None, &|s| s.render.mode = Mode::Slice);
+    check("slices, front to back", "head-quadrant", None, &|s| {
+        s.render.mode = Mode::Slice;
+        s.render.slice_order = SliceOrder::FrontToBack;
+    });
+    check("maximum by slices", "head-quadrant", None, &|s| {
+        s.render.mode = Mode::Slice;
+        s.transfer.blend = Some(Blend::Mip);
+    });
+    check("triangles", "bunny-deformers", None, &|_| ());
+    check("triangles and rays", "bunny-two-stage", None, &|_| ());
+    check("surfaces in a volume", "head-with-nuclei", None, &|_| ());
 }
 
 /// Cuts of every shape, with a group and an inversion.

@@ -3,7 +3,8 @@
 use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
 use incise::prepare::{Assets, Prepared};
-use incise::scene::{Mode, Normals, Scene, SliceOrder};
+use incise::scene::{Antialias, FORMAT_VERSION, Mode, Normals, Scene, SliceOrder};
+use incise::transfer::RelativeTo;
 use std::path::PathBuf;
 
 /// The scene files, by name.
@@ -43,6 +44,38 @@ pub fn every_scene_loads_and_comes_back() {
             incise::volume::phantom::is_procedural(scene.volume_name())
                 || scene.volume_path().is_none_or(|p| p.is_file())
         );
+    }
+}
+
+/// A scene of version 1 gets that version's defaults, and is written as what it then is: version 2
+/// with these settings stated.
+pub fn every_version_is_read() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/scenes");
+    let load = |n: u32| Scene::load(&folder.join(format!("version-{n}.toml"))).unwrap();
+    let [first, second] = [load(1), load(2)];
+    assert_eq!((first.incise, second.incise), (FORMAT_VERSION, FORMAT_VERSION));
+    assert_eq!(
+        (first.render.antialias, second.render.antialias),
+        (Antialias::OFF, Antialias::Adaptive)
+    );
+    assert_eq!(
+        (first.transfer.relative_to, second.transfer.relative_to),
+        (RelativeTo::Range, RelativeTo::Object)
+    );
+    let written = Scene::from_toml(&first.to_toml().unwrap()).unwrap();
+    assert_eq!(written.to_toml().unwrap(), first.to_toml().unwrap());
+    // Nothing else differs.
+    let mut same = second.clone();
+    (same.render.antialias, same.transfer.relative_to) = (Antialias::OFF, RelativeTo::Range);
+    assert_eq!(same, first);
+    // What a scene states is left as it is.
+    let text = "incise = 1\n[volume]\npath = \"phantom:ball\"\n[render]\nantialias = 3\n[transfer]\npreset = \"ct-bone\"\n";
+    let stated = Scene::from_toml(text).unwrap();
+    assert_eq!(stated.render.antialias, Antialias::Grid(3));
+    assert_eq!(stated.transfer.relative_to, RelativeTo::Object);
+    for unknown in ["0", "3", "-1"] {
+        let text = format!("incise = {unknown}\n[volume]\npath = \"phantom:ball\"\n");
+        assert!(Scene::from_toml(&text).unwrap_err().contains("versions 1 to 2"));
     }
 }
 

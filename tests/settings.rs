@@ -22,6 +22,15 @@ view = "40,20"
 [render]
 size = [64, 64]
 "#;
+const RELATIVE: &str = r#"
+incise = 2
+[volume]
+path = "phantom:head-ct:size=48"
+[transfer]
+preset = "mr-default"
+[render]
+size = [64, 64]
+"#;
 const SLICES: &str = r#"
 incise = 1
 [volume]
@@ -34,6 +43,15 @@ view = "40,20"
 mode = "slice"
 size = [64, 64]
 slice_order = "front-to-back"
+"#;
+const POINTS: &str = r#"
+incise = 2
+[volume]
+path = "phantom:head-ct:size=48"
+[transfer]
+points = [{ value = 0.0, color = [1.0, 0.0, 0.0], opacity = 0.0 }, { value = 300.0, color = [0.0, 1.0, 0.0], opacity = 0.9 }]
+[render]
+size = [64, 64]
 "#;
 const COLORS: &str = r#"
 incise = 1
@@ -154,6 +172,8 @@ const ACTS: &[(&str, &str, &str, bool)] = &[
     (VOLUME, "camera.roll", "20.0", true),
     (VOLUME, "camera.target", "[20.0, 0.0, 0.0]", true),
     (VOLUME, "transfer.preset", "\"ct-bones-and-muscle\"", true),
+    (RELATIVE, "transfer.relative_to", "\"range\"", true),
+    (RELATIVE, "render.antialias", "1", true),
     (VOLUME, "transfer.window", "300.0", true),
     (VOLUME, "transfer.level", "300.0", true),
     (SLICES, "transfer.density", "0.2", true),
@@ -189,6 +209,7 @@ const IDLE: &[(&str, &str, &str)] = &[
     (SURFACE, "surface.seam", "6.0"),
     (SURFACE, "surface.two_stage", "true"),
     (VOLUME, "render.slab", "8"),
+    (POINTS, "transfer.relative_to", "\"range\""),
     (VOLUME, "render.slice_order", "\"front-to-back\""),
     (VOLUME, "render.blend_format", "\"float16\""),
     (VOLUME, "render.iso_light", "\"derivative\""),

@@ -19,6 +19,8 @@ const SAMPLES: usize = 96;
 const BINS: usize = 64;
 /// A silhouette that covers more than this of its own box is a box.
 const BOX_COVERAGE: f64 = 0.97;
+/// A row or column of a silhouette that holds less than this of the fullest one holds specks.
+const SPECKS: f64 = 0.1;
 /// A silhouette that covers less than this of the volume's is nothing.
 const MIN_COVERAGE: f64 = 0.004;
 /// Share of the volume's faces that must be bright for surroundings to be bright.
@@ -166,22 +168,32 @@ impl Bins {
     }
 }
 
-/// The share of a silhouette above a threshold in the whole picture, and in its own box.
+/// The share of a silhouette above a threshold in the whole picture, and in its own box. Rows and
+/// columns that hold little more than specks of noise do not belong to the box.
 fn coverage((values, width): &(Vec<f64>, usize), threshold: f64) -> [f64; 2] {
-    let (mut low, mut high, mut count) = ([usize::MAX; 2], [0; 2], 0usize);
-    for (n, _) in values.iter().enumerate().filter(|(_, v)| **v > threshold) {
-        let at = [n % width, n / width];
-        (low, high) = (
-            [low[0].min(at[0]), low[1].min(at[1])],
-            [high[0].max(at[0]), high[1].max(at[1])],
-        );
-        count += 1;
+    let height = values.len() / width;
+    let (mut of_rows, mut of_columns) = (vec![0usize; height], vec![0usize; *width]);
+    let covered = || (0..values.len()).filter(|n| values[*n] > threshold);
+    for n in covered() {
+        of_rows[n / width] += 1;
+        of_columns[n % width] += 1;
     }
-    if count == 0 {
+    let extent = |counts: &[usize]| {
+        let most = counts.iter().copied().max().unwrap_or(0);
+        let holds = |count: &usize| *count > 0 && *count as f64 >= SPECKS * most as f64;
+        let first = counts.iter().position(|c| holds(c));
+        let last = counts.iter().rposition(|c| holds(c));
+        first.zip(last)
+    };
+    let (Some((top, bottom)), Some((left, right))) = (extent(&of_rows), extent(&of_columns)) else {
         return [0.0; 2];
-    }
-    let own = (high[0] + 1 - low[0]) * (high[1] + 1 - low[1]);
-    [count as f64 / values.len() as f64, count as f64 / own as f64]
+    };
+    let in_box = |n: &usize| (top..=bottom).contains(&(n / width)) && (left..=right).contains(&(n % width));
+    let own = (bottom + 1 - top) * (right + 1 - left);
+    [
+        covered().count() as f64 / values.len() as f64,
+        covered().filter(in_box).count() as f64 / own as f64,
+    ]
 }
 
 /// The value below which a fraction of some values lie.

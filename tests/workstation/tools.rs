@@ -264,7 +264,7 @@ pub fn exports_are_written() {
     let folder = bench.folder.path().to_owned();
     let form = PictureForm {
         size: [96, 64],
-        antialias: Antialias::Grid(2),
+        antialias: incise::scene::Antialias::Grid(2),
         step: 1.0,
         transparent: true,
     };
