@@ -34,7 +34,7 @@ pub fn adaptive_pictures_approach_the_average() {
     ] {
         let mut scene = scenes::load(name);
         scene.render.mode = mode;
-        scene.render.size = [360, 360];
+        scene.render.size = [512, 512];
         let plain = rendered(&scene, Antialias::OFF);
         let adaptive = rendered(&scene, Antialias::Adaptive);
         let average = rendered(&scene, Antialias::Grid(4)).picture;
