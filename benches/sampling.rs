@@ -77,7 +77,7 @@ fn scene(name: &str) -> Scene {
         }
     };
     scene.render.size = [512, 512];
-    scene.render.antialias = 1;
+    scene.render.antialias = incise::scene::Antialias::OFF;
     scene.render.mode = Mode::Raycast;
     scene
 }

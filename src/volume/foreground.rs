@@ -130,7 +130,7 @@ impl Bins {
                 (a.min(v), b.max(v))
             });
         let width = (high - low) / BINS as f64;
-        if !(width > 0.0) {
+        if width.is_nan() || width <= 0.0 {
             return None;
         }
         let mut counts = [0.0; BINS];
@@ -181,8 +181,8 @@ fn coverage((values, width): &(Vec<f64>, usize), threshold: f64) -> [f64; 2] {
     let extent = |counts: &[usize]| {
         let most = counts.iter().copied().max().unwrap_or(0);
         let holds = |count: &usize| *count > 0 && *count as f64 >= SPECKS * most as f64;
-        let first = counts.iter().position(|c| holds(c));
-        let last = counts.iter().rposition(|c| holds(c));
+        let first = counts.iter().position(&holds);
+        let last = counts.iter().rposition(holds);
         first.zip(last)
     };
     let (Some((top, bottom)), Some((left, right))) = (extent(&of_rows), extent(&of_columns)) else {
