@@ -338,6 +338,7 @@ pub fn what_cannot_be_compared_is_told() {
         (1, &["--threads", "0"], "--threads"),
         (1, &["--deform", "peal"], "peel"),
         (1, &["--antialias", "9"], "antialias"),
+        (1, &["--antialias", "adaptive"], "from 1 to 4"),
         (1, &["--antialias", "4", "--sizes", "8000x4000"], "--antialias"),
         (1, &["--stats", "no/such/s.json"], "no/such/s.json"),
         (1, &["--stats", "lab/index.html"], "lab/index.html"),

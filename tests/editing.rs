@@ -11,12 +11,12 @@ use incise::picture::Picture;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy, Work};
 use incise::scene::surface::{MeshSource, Representation, ShapeSource};
-use incise::scene::{Deformation, Mode, Projection, Scene};
+use incise::scene::{Antialias, Deformation, Mode, Projection, Scene};
 
 /// Two displacement maps over a small head.
 fn scene(mode: Mode) -> Scene {
     let mut scene = Scene::of_volume("phantom:head-ct:size=48");
-    scene.render.size = [64, 64];
+    (scene.render.size, scene.render.antialias) = ([64, 64], Antialias::OFF);
     scene.render.mode = mode;
     for kind in ["twist", "peel"] {
         let mut deformation = Deformation::new(kind);

@@ -256,6 +256,21 @@ impl Common {
         Ok(scene)
     }
 
+    /// Checks that a number of samples is given, if antialiasing is: renderers are compared by the
+    /// same samples.
+    ///
+    /// # Errors
+    /// Adaptive antialiasing.
+    pub fn check_fixed_antialias(&self) -> Result<()> {
+        if self.antialias == Some(Antialias::Adaptive) {
+            return Err(Error::value(
+                "--antialias",
+                "compare takes the same samples in every picture; give a number from 1 to 4",
+            ));
+        }
+        Ok(())
+    }
+
     /// Checks that every option given has an effect on the picture.
     ///
     /// # Errors

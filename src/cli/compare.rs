@@ -197,6 +197,7 @@ impl CompareArguments {
     /// The plan: the scene with the settings to vary.
     fn plan(&self) -> Result<Plan> {
         let scene = self.common.scene()?;
+        self.common.check_fixed_antialias()?;
         let mut plan = Plan::of(scene);
         if let Some(mode) = self.common.mode {
             plan.modes = vec![mode.into()];

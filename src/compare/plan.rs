@@ -62,7 +62,12 @@ pub fn modes_of(scene: &Scene) -> Vec<Mode> {
 
 impl Plan {
     /// A plan with the scene's own step, size and camera, on the CPU.
-    pub fn of(scene: Scene) -> Self {
+    pub fn of(mut scene: Scene) -> Self {
+        // Renderers are compared by the same samples: adaptive ones would depend on their pictures.
+        if scene.render.antialias == Antialias::Adaptive {
+            scene.render.antialias = Antialias::OFF;
+        }
+
         Self {
             modes: modes_of(&scene),
             options: vec![RendererOptions::of(&scene)],
