@@ -204,67 +204,58 @@ impl PacketSampler<'_> {
     ) -> ShadedSamples<S> {
         simd.vectorize(
             #[inline(always)]
-            || self.shade_found_inlined(simd, *rays, found, fetch_policy),
-        )
-    }
-
-    #[inline(always)]
-    fn shade_found_inlined<S: Simd>(
-        &self,
-        simd: S,
-        rays: ShadingRays<S>,
-        found: &FoundSamples<S>,
-        fetch_policy: &mut FetchPolicy,
-    ) -> ShadedSamples<S> {
-        let FoundSamples {
-            lanes,
-            sample,
-            deformed,
-            share,
-            ..
-        } = found;
-        let zero = f32x8::splat(simd, 0.0);
-        let mut visible = *lanes & sample.depth.simd_gt(0.0);
-        let mut opaque = *lanes & !*lanes;
-        let (mut color, mut depth) = (*deformed, zero);
-        let mut scalar_lanes = self.scalar_lanes(simd, rays, found, visible);
-        let packet_lanes = visible & !scalar_lanes;
-        if packet_lanes.any_true() {
-            fetch_policy.shaded_lookups += 1;
-            let (shaded, factor, cut) =
-                self.shade(simd, sample, *deformed, rays, packet_lanes, &found.previous);
-            color = shaded;
-            depth = sample.depth * factor * *share;
-            scalar_lanes |= cut;
-        }
-        let scalar_lanes = scalar_lanes & *lanes;
-        if scalar_lanes.any_true() {
-            // Copies, since indexing by a variable keeps the indexed structure out of registers.
-            let (sample, deformed, share) = (found.sample, found.deformed, found.share);
-            let (direction, step) = (rays.direction, rays.step);
-            for n in lanes_of(scalar_lanes.to_bitmask()) {
-                let (lane, front) = (sample.lane(n), sample.front[n]);
-                match self.shade_scalar(lane, front, deformed.lane(n), direction.lane(n), step[n]) {
-                    ScalarSample::Nothing => visible.set(n, false),
-                    ScalarSample::Opaque(of_face) => {
-                        opaque.set(n, true);
-                        color.set(n, of_face);
-                        visible.set(n, true);
-                    }
-                    ScalarSample::Visible(of_sample, depth_of_sample) => {
-                        visible.set(n, true);
-                        color.set(n, of_sample);
-                        depth[n] = depth_of_sample * share[n];
+            || {
+                let FoundSamples {
+                    lanes,
+                    sample,
+                    deformed,
+                    share,
+                    ..
+                } = found;
+                let zero = f32x8::splat(simd, 0.0);
+                let mut visible = *lanes & sample.depth.simd_gt(0.0);
+                let mut opaque = *lanes & !*lanes;
+                let (mut color, mut depth) = (*deformed, zero);
+                let mut scalar_lanes = self.scalar_lanes(simd, *rays, found, visible);
+                let packet_lanes = visible & !scalar_lanes;
+                if packet_lanes.any_true() {
+                    fetch_policy.shaded_lookups += 1;
+                    let (shaded, factor, cut) =
+                        self.shade(simd, sample, *deformed, *rays, packet_lanes, &found.previous);
+                    color = shaded;
+                    depth = sample.depth * factor * *share;
+                    scalar_lanes |= cut;
+                }
+                let scalar_lanes = scalar_lanes & *lanes;
+                if scalar_lanes.any_true() {
+                    // Copies, since indexing by a variable keeps the indexed structure out of registers.
+                    let (sample, deformed, share) = (found.sample, found.deformed, found.share);
+                    let (direction, step) = (rays.direction, rays.step);
+                    for n in lanes_of(scalar_lanes.to_bitmask()) {
+                        let (lane, front) = (sample.lane(n), sample.front[n]);
+                        match self.shade_scalar(lane, front, deformed.lane(n), direction.lane(n), step[n]) {
+                            ScalarSample::Nothing => visible.set(n, false),
+                            ScalarSample::Opaque(of_face) => {
+                                opaque.set(n, true);
+                                color.set(n, of_face);
+                                visible.set(n, true);
+                            }
+                            ScalarSample::Visible(of_sample, depth_of_sample) => {
+                                visible.set(n, true);
+                                color.set(n, of_sample);
+                                depth[n] = depth_of_sample * share[n];
+                            }
+                        }
                     }
                 }
-            }
-        }
-        ShadedSamples {
-            color,
-            depth,
-            visible,
-            opaque,
-        }
+                ShadedSamples {
+                    color,
+                    depth,
+                    visible,
+                    opaque,
+                }
+            },
+        )
     }
 
     /// Which of the samples found are shaded one by one: those near a cut, and those at which

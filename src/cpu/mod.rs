@@ -250,56 +250,51 @@ impl PacketSampler<'_> {
     ) -> [[f32; 4]; LANES] {
         simd.vectorize(
             #[inline(always)]
-            || self.trace_inlined(simd, place, stats, fetch_policy),
+            || {
+                let scene = self.scene;
+                let frame = &scene.frame;
+                let [u, v] = place.uv(simd, frame.size);
+                let (origin, direction) = frame.view.rays(simd, u, v);
+                let mut rays = RayPacket {
+                    origin,
+                    direction,
+                    until: f32x8::splat(simd, f32::INFINITY),
+                };
+                let mut behind = [None; LANES];
+                if !scene.surfaces.objects.is_empty() {
+                    for n in (0..LANES).filter(|n| place.wanted[*n]) {
+                        behind[n] = surface::nearest(
+                            scene,
+                            origin.lane(n),
+                            direction.lane(n),
+                            &mut stats.samples_taken,
+                        );
+                        rays.until[n] = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
+                    }
+                }
+                if scene.settings.jitter {
+                    for n in 0..LANES {
+                        // Samples are shifted by moving the origin of the ray.
+                        let shift = place.shift(n) * frame.spacing.step_mm;
+                        rays.origin.set(n, origin.lane(n) + direction.lane(n) * shift);
+                        rays.until[n] = (rays.until[n] - shift).max(0.0);
+                    }
+                }
+                for n in (0..LANES).filter(|n| !place.wanted[*n]) {
+                    rays.until[n] = -1.0;
+                }
+                let mut colors = self.march(simd, rays, stats, fetch_policy);
+                for (color, hit) in colors.iter_mut().zip(behind) {
+                    if let Some(hit) = hit {
+                        let [r, g, b, a] = *color;
+                        *color = (Vec3::new(r, g, b) + hit.color * (1.0 - a))
+                            .extend(1.0)
+                            .to_array();
+                    }
+                }
+                colors
+            },
         )
-    }
-
-    #[inline(always)]
-    fn trace_inlined<S: Simd>(
-        &self,
-        simd: S,
-        place: &Positions<S>,
-        stats: &mut RenderStats,
-        fetch_policy: &mut FetchPolicy,
-    ) -> [[f32; 4]; LANES] {
-        let scene = self.scene;
-        let frame = &scene.frame;
-        let [u, v] = place.uv(simd, frame.size);
-        let (origin, direction) = frame.view.rays(simd, u, v);
-        let mut rays = RayPacket {
-            origin,
-            direction,
-            until: f32x8::splat(simd, f32::INFINITY),
-        };
-        let mut behind = [None; LANES];
-        if !scene.surfaces.objects.is_empty() {
-            for n in (0..LANES).filter(|n| place.wanted[*n]) {
-                behind[n] =
-                    surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
-                rays.until[n] = behind[n].as_ref().map_or(f32::INFINITY, |hit| hit.t);
-            }
-        }
-        if scene.settings.jitter {
-            for n in 0..LANES {
-                // Samples are shifted by moving the origin of the ray.
-                let shift = place.shift(n) * frame.spacing.step_mm;
-                rays.origin.set(n, origin.lane(n) + direction.lane(n) * shift);
-                rays.until[n] = (rays.until[n] - shift).max(0.0);
-            }
-        }
-        for n in (0..LANES).filter(|n| !place.wanted[*n]) {
-            rays.until[n] = -1.0;
-        }
-        let mut colors = self.march(simd, rays, stats, fetch_policy);
-        for (color, hit) in colors.iter_mut().zip(behind) {
-            if let Some(hit) = hit {
-                let [r, g, b, a] = *color;
-                *color = (Vec3::new(r, g, b) + hit.color * (1.0 - a))
-                    .extend(1.0)
-                    .to_array();
-            }
-        }
-        colors
     }
 }
 

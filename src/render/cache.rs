@@ -190,15 +190,11 @@ impl SceneCache {
             })),
         };
         context.tally.count(ResourceKind::TransferTable);
-        context.device.queue.write_texture(
-            target.texture.as_image_copy(),
+        context.write_layers(
+            &target.texture,
+            0,
             bytemuck::cast_slice(&texels),
-            wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(TABLE_ENTRIES as u32 * 16),
-                rows_per_image: Some(3),
-            },
-            target.texture.size(),
+            [TABLE_ENTRIES, 3, 1],
         );
         let view = target.view.clone();
         self.table = Some((target, texels));
@@ -248,15 +244,11 @@ impl SceneCache {
             .map(|v| half::f16::from_f32(*v).to_bits())
             .collect();
         context.tally.count(ResourceKind::TransferTable);
-        context.device.queue.write_texture(
-            target.texture.as_image_copy(),
+        context.write_layers(
+            &target.texture,
+            0,
             bytemuck::cast_slice(&halves),
-            wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(PREINTEGRATED_SIZE as u32 * 8),
-                rows_per_image: Some(PREINTEGRATED_SIZE as u32),
-            },
-            target.texture.size(),
+            [PREINTEGRATED_SIZE, PREINTEGRATED_SIZE, 1],
         );
         let view = target.view.clone();
         self.preintegrated = Some((target, scene.volume().table.entries.clone(), length));

@@ -343,7 +343,7 @@ impl Context {
         self.bind_group(label, layout, &entries)
     }
 
-    /// Copies whole layers into a 3D texture.
+    /// Copies whole layers into a 3D texture, or the only one into a 2D texture.
     pub(super) fn write_layers(
         &self,
         texture: &wgpu::Texture,

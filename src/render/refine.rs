@@ -167,23 +167,10 @@ impl Renderer {
             height,
             TextureFormat::Rg32Float,
         );
-        self.write(&target, bytemuck::cast_slice(positions));
+        let size = [width as usize, height as usize, 1];
+        self.context
+            .write_layers(&target.texture, 0, bytemuck::cast_slice(positions), size);
         target.view
-    }
-
-    /// Fills a 2D texture.
-    fn write(&self, target: &RenderTexture, texels: &[u8]) {
-        let height = target.texture.height();
-        self.context.device.queue.write_texture(
-            target.texture.as_image_copy(),
-            texels,
-            wgpu::TexelCopyBufferLayout {
-                offset: 0,
-                bytes_per_row: Some(texels.len() as u32 / height),
-                rows_per_image: Some(height),
-            },
-            target.texture.size(),
-        );
     }
 
     /// Colours of the samples, those of each pixel together, drawn one offset after the other.
@@ -206,7 +193,9 @@ impl Renderer {
             height,
             TextureFormat::R32Float,
         );
-        self.write(&mask, bytemuck::cast_slice(&again));
+        let layer = [width as usize, height as usize, 1];
+        self.context
+            .write_layers(&mask.texture, 0, bytemuck::cast_slice(&again), layer);
         let mut colors = vec![[0.0; 4]; pixels.len() * offsets.len()];
         for (o, offset) in offsets.iter().enumerate() {
             inputs.shared.move_samples(&self.context, *offset);
