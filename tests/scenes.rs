@@ -69,10 +69,13 @@ pub fn every_version_is_read() {
     (same.render.antialias, same.transfer.relative_to) = (Antialias::OFF, RelativeTo::Range);
     assert_eq!(same, first);
     // What a scene states is left as it is.
-    let text = "incise = 1\n[volume]\npath = \"phantom:ball\"\n[render]\nantialias = 3\n[transfer]\npreset = \"ct-bone\"\n";
+    let text = "incise = 1\n[volume]\npath = \"phantom:ball\"\n[render]\nantialias = 3\n[transfer]\npreset = \"checker\"\n";
     let stated = Scene::from_toml(text).unwrap();
     assert_eq!(stated.render.antialias, Antialias::Grid(3));
     assert_eq!(stated.transfer.relative_to, RelativeTo::Object);
+    let text = "incise = 1\n[volume]\npath = \"ct.nii\"\n[transfer]\npreset = \"ct-bone\"\n";
+    let unshifted = Scene::from_toml(text).unwrap();
+    assert_eq!(unshifted.transfer.relative_to, RelativeTo::Range);
     for unknown in ["0", "3", "-1"] {
         let text = format!("incise = {unknown}\n[volume]\npath = \"phantom:ball\"\n");
         assert!(Scene::from_toml(&text).unwrap_err().contains("versions 1 to 2"));

@@ -90,7 +90,15 @@ fn file_report(volume: &Volume, scene: &Scene, series: Option<&[SeriesInfo]>) ->
 
 /// The report on a scene's volume.
 fn volume_report(volume: &Volume, scene: &Scene) -> Value {
-    let suitable = scene.suitable_preset(volume);
+    let transfer = &scene.transfer;
+    let (preset, reason) = match &transfer.preset {
+        Some(name) => (json!(name), "the scene names it".to_owned()),
+        None if !transfer.points.is_empty() => (Value::Null, "the scene states a curve of its own".into()),
+        None => {
+            let suitable = scene.suitable_preset(volume);
+            (json!(suitable.name), suitable.reason)
+        }
+    };
     let direction = volume.direction();
     let rows: Vec<[f64; 3]> = (0..3).map(|r| direction.row(r).to_array()).collect();
     let voxels = volume.voxels.len();
@@ -129,7 +137,7 @@ fn volume_report(volume: &Volume, scene: &Scene) -> Value {
         "rescale": { "slope": volume.rescale.slope, "intercept": volume.rescale.intercept },
         "stored_bytes": stored,
         "memory_bytes": stored + converted + colors,
-        "transfer": { "preset": suitable.name, "reason": suitable.reason },
+        "transfer": { "preset": preset, "reason": reason },
         "warnings": volume.warnings_with_options(),
     });
     if let (Some(labels), Some(entries)) = (volume.labels(), report.as_object_mut()) {

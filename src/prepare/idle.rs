@@ -6,7 +6,7 @@ use super::prepared::Prepared;
 use crate::deform::kinds;
 use crate::scene::surface::{Steps, SurfaceSettings};
 use crate::scene::{Camera, Light, Mode, Normals, Projection, RenderSettings, Scene, SliceOrder};
-use crate::transfer::{Blend, Scale, TransferSettings, preset};
+use crate::transfer::{Blend, Preset, TransferSettings, preset};
 use serde::Serialize;
 use toml::Value;
 
@@ -90,8 +90,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         let transfer = &scene.transfer;
         let named = transfer.preset.as_deref().and_then(preset);
         unless(
-            transfer.points.is_empty()
-                && named.is_none_or(|p| p.scale == Scale::Relative || p.name.starts_with("ct-")),
+            transfer.points.is_empty() && named.is_none_or(Preset::depends_on_volume),
             &["transfer.relative_to"],
             "the transfer function states data values",
         );

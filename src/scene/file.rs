@@ -169,7 +169,7 @@ mod tests {
             ),
             (
                 "[render]\nantialias = 2.0",
-                "for \"render.antialias\", which must be one of \"adaptive\" or a whole number from 1 to 4",
+                "for \"render.antialias\", which must be \"adaptive\" or a whole number from 1 to 4",
             ),
             (
                 "[camera]\nview = 3",

@@ -212,6 +212,9 @@ impl<'a> Checker<'a> {
     /// What a schema requires, in words.
     fn needed(&self, schema: &'a Schema) -> String {
         if let Some(choices) = choices(schema) {
+            if let [only] = choices[..] {
+                return format!("\"{only}\"");
+            }
             return format!(
                 "one of {}",
                 choices

@@ -1,7 +1,7 @@
 //! Scenes of earlier versions of the format. What later versions do by default an earlier scene
 //! then refuses explicitly, so that it looks as it did.
 
-use crate::transfer::{Scale, preset};
+use crate::transfer::preset;
 use toml::{Table, Value};
 
 /// The first version.
@@ -14,7 +14,7 @@ pub(super) fn from_version_1(table: &mut Table) {
     state(section(table, "render"), "antialias", Value::Integer(1));
     let states_values = |transfer: &Value| {
         let named = transfer.get("preset").and_then(Value::as_str).and_then(preset);
-        transfer.get("points").is_some() || named.is_some_and(|p| p.scale == Scale::Absolute)
+        transfer.get("points").is_some() || named.is_some_and(|p| !p.depends_on_volume())
     };
     if table.contains_key("volume") && !table.get("transfer").is_some_and(states_values) {
         state(

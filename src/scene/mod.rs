@@ -498,7 +498,7 @@ impl Scene {
         }
     }
 
-    /// Its name.
+    /// The name of [`Self::suitable_preset`].
     pub fn default_preset(&self, volume: &Volume) -> &'static str {
         self.suitable_preset(volume).name
     }

@@ -503,6 +503,16 @@ pub fn preset(name: &str) -> Option<&'static Preset> {
 }
 
 impl Preset {
+    /// Whether the curve follows the volume: by fractions of its values, or by Hounsfield units,
+    /// which may be shifted.
+    pub fn depends_on_volume(&self) -> bool {
+        self.scale == Scale::Relative || self.is_ct()
+    }
+
+    fn is_ct(&self) -> bool {
+        self.name.starts_with("ct-")
+    }
+
     /// The curve in a volume's data units.
     pub fn adapted_to(&self, volume: &Volume, relative_to: RelativeTo) -> TransferFunction {
         let [low, span] = self.scale_for(volume, relative_to);
@@ -548,7 +558,7 @@ impl Preset {
             // used.
             _ if self.name == OWN_COLORS && volume.colors.is_some() && highest > 1.5 => [0.0, 255.0],
             Scale::Relative if self.name == LABELS => [lowest, highest - lowest],
-            Scale::Absolute if relative_to == RelativeTo::Object && self.name.starts_with("ct-") => {
+            Scale::Absolute if relative_to == RelativeTo::Object && self.is_ct() => {
                 [volume.hounsfield_zero().unwrap_or(0.0), 1.0]
             }
             Scale::Absolute => [0.0, 1.0],

@@ -30,15 +30,15 @@ pub fn suitable_preset(volume: &Volume, name: &str, relative_to: RelativeTo) -> 
     if volume.labels().is_some() {
         return chosen("labels", "the values are labels");
     }
-    let [low, high] = volume.range;
     if relative_to == RelativeTo::Range {
-        return if low <= -500.0 && high >= 300.0 {
+        return if volume.hounsfield_zero() == Some(0.0) {
             chosen("ct-bone", "the values are Hounsfield units")
         } else {
             chosen("mr-default", "the values have no absolute scale")
         };
     }
     if let Some(zero) = volume.hounsfield_zero() {
+        let [low, high] = volume.range;
         let units = if zero == 0.0 {
             format!("the values {low:.0} to {high:.0} are Hounsfield units")
         } else {
@@ -57,8 +57,8 @@ pub fn suitable_preset(volume: &Volume, name: &str, relative_to: RelativeTo) -> 
             reason: format!("{units} and {content}"),
         };
     }
-    if matches!(volume.modality(), Some("PT" | "NM")) {
-        return chosen("pet-hot", "the file states emission tomography (DICOM modality)");
+    if let Some(modality @ ("PT" | "NM")) = volume.modality() {
+        return chosen("pet-hot", &format!("the DICOM modality is {modality}"));
     }
     let file = std::path::Path::new(name)
         .file_name()
@@ -70,21 +70,27 @@ pub fn suitable_preset(volume: &Volume, name: &str, relative_to: RelativeTo) -> 
         .collect();
     let named = |wanted: &[&str]| words.iter().any(|w| wanted.contains(w));
     if named(&["pet", "suv", "suvbw", "fdg"]) {
-        return chosen("pet-hot", "the file's name states emission tomography");
+        return chosen("pet-hot", "the file name indicates PET");
     }
     if named(&["tof", "mra", "angio", "angiography"]) {
-        return chosen("mr-angio", "the file's name states angiography");
+        return chosen("mr-angio", "the file name indicates angiography");
     }
     let around = match volume.foreground() {
-        None => "all values are the same".into(),
+        None => "all of them are the same".into(),
         Some(f) if f.is_dark() => format!(
-            "the object is darker than {:.4}, the background lighter",
-            f.threshold
+            "the object lies below {}, its background above",
+            short(f.threshold)
         ),
-        Some(f) => format!("the background ends at {:.4}", f.threshold),
+        Some(f) => format!("the background ends at {}", short(f.threshold)),
     };
     SuitablePreset {
         name: "mr-default",
         reason: format!("the values have no absolute scale; {around}"),
     }
+}
+
+/// A data value with three significant digits or more.
+fn short(value: f64) -> String {
+    let decimals = (2.0 - value.abs().max(1e-9).log10().floor()).clamp(0.0, 12.0);
+    format!("{value:.*}", decimals as usize)
 }

@@ -43,8 +43,6 @@ pub struct Foreground {
     pub threshold: f64,
     /// The value that all but a few voxels of the object lie before.
     pub extreme: f64,
-    /// The share of the volume's silhouette that the object covers, on average over three axes.
-    pub coverage: f64,
 }
 
 impl Foreground {
@@ -79,6 +77,13 @@ impl Samples {
             })
             .collect();
         Self { size, values }
+    }
+
+    fn negated(&self) -> Self {
+        Self {
+            size: self.size,
+            values: self.values.iter().map(|v| -v).collect(),
+        }
     }
 
     fn finite(&self) -> impl Iterator<Item = f64> + Clone {
@@ -205,45 +210,38 @@ fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
 
 /// The object of a volume; none if all its values are the same.
 pub(super) fn foreground(volume: &Volume) -> Option<Foreground> {
-    let mut samples = Samples::new(volume);
+    let samples = Samples::new(volume);
     let [split, ..] = Bins::new(samples.finite())?.thresholds();
     let faces = samples.faces();
     let bright = faces.iter().filter(|v| **v > split).count() as f64;
-    let is_bright = volume.inverted || bright >= BRIGHT_FACES * faces.len() as f64;
-    if is_bright
-        && let Some(dark) = {
-            samples.values.iter_mut().for_each(|v| *v = -*v);
-            bright_object(&samples, -split).filter(|f| volume.inverted || !f.is_box)
+    if volume.inverted || bright >= BRIGHT_FACES * faces.len() as f64 {
+        // What fills all faces and is no background is the object itself.
+        let dark = bright_object(&samples.negated(), -split).filter(|dark| volume.inverted || !dark.is_box);
+        if let Some(dark) = dark {
+            return Some(dark.foreground(-1.0));
         }
-    {
-        let [background, threshold, extreme] = dark.values.map(|v| -v);
-        return Some(Foreground {
-            background,
-            threshold,
-            extreme,
-            coverage: dark.coverage,
-        });
     }
-    if is_bright {
-        // What fills all faces is the object itself.
-        samples.values.iter_mut().for_each(|v| *v = -*v);
-    }
-    let found = bright_object(&samples, split)?;
-    let [background, threshold, extreme] = found.values;
-    Some(Foreground {
-        background,
-        threshold,
-        extreme,
-        coverage: found.coverage,
-    })
+    Some(bright_object(&samples, split)?.foreground(1.0))
 }
 
-/// A bright object: its background, threshold and extreme.
+/// A bright object in dark surroundings.
 struct BrightObject {
-    values: [f64; 3],
-    coverage: f64,
+    background: f64,
+    threshold: f64,
+    extreme: f64,
     /// No threshold shows anything but a box.
     is_box: bool,
+}
+
+impl BrightObject {
+    /// The object in data units, of which its values are `sign` times.
+    fn foreground(&self, sign: f64) -> Foreground {
+        Foreground {
+            background: sign * self.background,
+            threshold: sign * self.threshold,
+            extreme: sign * self.extreme,
+        }
+    }
 }
 
 /// The object in dark surroundings; `split` divides the voxels into two classes.
@@ -278,10 +276,10 @@ fn bright_object(samples: &Samples, split: f64) -> Option<BrightObject> {
     let start = noise + OBJECT_START * (threshold - noise);
     let background = percentile(samples.finite().filter(|v| *v <= start).collect(), 0.5)?;
     let extreme = percentile(samples.finite().filter(|v| *v > start).collect(), ROBUST)?;
-    let coverage = silhouettes.iter().map(|s| coverage(s, start)[0]).sum::<f64>() / 3.0;
     (extreme > start && start > background).then_some(BrightObject {
-        values: [background, start, extreme],
-        coverage,
+        background,
+        threshold: start,
+        extreme,
         is_box: object.is_none(),
     })
 }

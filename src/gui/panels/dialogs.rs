@@ -1,6 +1,6 @@
 //! Questions and forms.
 
-use super::rows::{ANTIALIAS, choice};
+use super::rows::{ANTIALIAS, drop_down};
 use crate::gui::state::Workstation;
 use crate::gui::state::files::{ClipForm, ClipMotion, Dialog, NextStep, PictureForm};
 use crate::picture::MAX_PICTURE_EDGE;
@@ -269,8 +269,8 @@ fn picture(ui: &mut Ui, form: &mut PictureForm) -> Decision {
         .spacing([12.0, 6.0])
         .show(ui, |ui| {
             size_row(ui, &mut form.size, MAX_PICTURE_EDGE);
-            ui.label("");
-            choice(ui, "Anti-aliasing", &mut form.antialias, &ANTIALIAS);
+            ui.label("Anti-aliasing");
+            drop_down(ui, "Anti-aliasing", &mut form.antialias, &ANTIALIAS);
             ui.end_row();
             ui.label("Step (voxels)");
             ui.add(

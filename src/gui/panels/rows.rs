@@ -41,18 +41,23 @@ pub(super) fn three(ui: &mut Ui, values: &mut [f32; 3], speed: f32, suffix: &str
 pub(super) fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T, all: &[(T, &str)]) {
     ui.horizontal(|ui| {
         ui.label(word);
-        let now = all.iter().find(|(v, _)| v == value).map_or("", |(_, w)| w);
-        let combo = egui::ComboBox::from_id_salt(word)
-            .selected_text(now)
-            .show_ui(ui, |ui| {
-                for (v, w) in all {
-                    ui.selectable_value(value, *v, *w);
-                }
-            });
-        combo
-            .response
-            .widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, word));
+        drop_down(ui, word, value, all);
     });
+}
+
+/// The list alone, of which `word` is the name for assistive technology.
+pub(super) fn drop_down<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T, all: &[(T, &str)]) {
+    let now = all.iter().find(|(v, _)| v == value).map_or("", |(_, w)| w);
+    let combo = egui::ComboBox::from_id_salt(word)
+        .selected_text(now)
+        .show_ui(ui, |ui| {
+            for (v, w) in all {
+                ui.selectable_value(value, *v, *w);
+            }
+        });
+    combo
+        .response
+        .widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, word));
 }
 
 /// The choices of antialiasing.
