@@ -76,6 +76,7 @@ struct AffineEnclosure {
 
 struct BoxContents {
     something: bool,
+    // A mask varies there, or a face of the volume lies there.
     is_near_cut: bool,
 }
 
@@ -356,15 +357,17 @@ fn any_visible(range: vec2<f32>) -> bool {
     return visible_entries[last + 1u] > visible_entries[first];
 }
 
+// A box of the source in voxels, a little larger.
+fn box_in_voxel(source: Box) -> Box {
+    return grown(transformed(grid.voxel_from_world, source), vec3<f32>(0.01));
+}
+
 // Whether anything in a source box is visible; `whole` if nothing of it is cut away.
 fn source_is_visible(source: Box, whole: bool, max_alpha: f32) -> bool {
     if max_alpha < 0.5 {
         return false;
     }
-    let inside = overlap(
-        grown(transformed(grid.voxel_from_world, source), vec3<f32>(0.01)),
-        Box(grid.voxel_low, grid.voxel_high),
-    );
+    let inside = overlap(box_in_voxel(source), Box(grid.voxel_low, grid.voxel_high));
     if is_empty(inside) {
         return false;
     }
@@ -405,12 +408,11 @@ fn box_visibility(b: Box) -> BoxContents {
             together = no_displacement();
         }
     }
-    return BoxContents(
-        source_is_visible(
-            grown(at, vec3<f32>(grid.precompose_error_mm)), distance_range.x >= 0.0 && alpha.x >= 0.5, alpha.y
-        ),
-        alpha.x < 1.0,
-    );
+    let source = grown(at, vec3<f32>(grid.precompose_error_mm));
+    let whole = distance_range.x >= 0.0 && alpha.x >= 0.5;
+    let in_voxel = box_in_voxel(source);
+    let at_face = any(in_voxel.low < grid.voxel_low) || any(in_voxel.high > grid.voxel_high);
+    return BoxContents(source_is_visible(source, whole, alpha.y), alpha.x < 1.0 || at_face);
 }
 
 fn cell_is_visible(cell: Box) -> bool {

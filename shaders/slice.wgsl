@@ -15,19 +15,17 @@ struct SliceSample {
     taken: bool,
 }
 
-// Samples a slice at a point; `step` is the path between slices along the pixel's ray.
-fn fragment_sample(deformed: vec3<f32>, direction: vec3<f32>, half: vec3<f32>, step: f32) -> SliceSample {
+// Samples a slice at a point: a thin layer in front of it, and its sample. `step` is the path
+// between slices along the pixel's ray. `hidden`: something opaque lies in front of the next slice.
+fn fragment_sample(
+    p: vec3<f32>, hidden: bool, direction: vec3<f32>, half: vec3<f32>, step: f32
+) -> SliceSample {
     var sample = SliceSample(vec4<f32>(0.0), 0.0, false, false);
-    let state = cell_block(vec3<i32>(cell_of(deformed)));
+    let state = cell_block(vec3<i32>(cell_of(p)));
     if state > 0u && state < CUT_FREE_FLAG {
         return sample;
     }
     sample.taken = true;
-    let part = retained_part(deformed, direction, 0.0, step);
-    if part.share <= 0.0 {
-        return sample;
-    }
-    let p = deformed + direction * part.t;
     let at = sample_scene(p);
     sample.value = at.value;
     sample.present = at.present;
@@ -35,20 +33,26 @@ fn fragment_sample(deformed: vec3<f32>, direction: vec3<f32>, half: vec3<f32>, s
         return sample;
     }
     // No sample of another slice is known here.
-    let front = PreviousSample(p - direction * step, NOT_SAMPLED);
-    var found: VisibleSample;
-    if PREINTEGRATED == 0u {
-        found = visible_sample(at, p);
-    } else {
-        found = visible_segment_sample(at, front_value(at, front.point, 0.0, false), p);
+    var previous = UNKNOWN_NEIGHBOUR;
+    if PREINTEGRATED != 0u {
+        previous = as_neighbour(sample_scene(p - direction * step));
     }
-    if !to_be_shaded(at, found.depth, p, step) {
-        return sample;
+    let own = as_neighbour(at);
+    let s = found_sample(at, p, previous);
+    var layered = own.depth < frame.thin_depth || ISO != ISO_NONE;
+    if PREINTEGRATED != 0u {
+        layered = may_hide_a_layer(own, previous);
     }
-    sample.color = opaque_face(at, p, direction, step);
-    if sample.color.a == 0.0 && ISO == ISO_NONE {
-        let length = step / frame.reference_mm * part.share;
-        sample.color = shaded_sample(at, found, front, state >= CUT_FREE_FLAG, direction, half, step, length);
+    layered = layered && near_edge(at, p, step);
+    let cut_free = state >= CUT_FREE_FLAG;
+    var found = FoundSample(s, at.present, at.alpha, layered, cut_free, hidden && !layered, previous, UNKNOWN_NEIGHBOUR);
+    let to_shade = to_be_shaded(at, s.depth, p, step);
+    // One text of the shading for both.
+    for (var n = select(1, 0, layered); n < select(1, 2, to_shade); n += 1) {
+        let shaded = shaded_sample(found, direction, half, step, step / frame.reference_mm);
+        sample.color += shaded.color * (1.0 - sample.color.a);
+        found.thin = false;
+        found.hidden = hidden;
     }
     return sample;
 }
@@ -78,7 +82,8 @@ fn fragment(slice: Slice) -> @location(0) vec4<f32> {
         if SLAB > 1u {
             p += direction * ((depth - polygon_depth) / cosine);
         }
-        let sample = fragment_sample(p, direction, half, step);
+        let hidden = depth + frame.step_mm >= until * cosine;
+        let sample = fragment_sample(p, hidden, direction, half, step);
         counted += select(vec3<u32>(0u, 1u, 0u), vec3<u32>(1u, 0u, 0u), sample.taken);
         if sample.present && BLEND != BLEND_COMPOSITE {
             present_count += 1.0;

@@ -61,7 +61,7 @@ pub fn uniforms_match_their_structs() {
     same_layout!(&m, "Frame", FrameUniform: clip_from_world, voxel_from_world, eye, perspective, forward, step_mm, right, reference_mm, up,
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
         value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, jitter, texture_size, gradient_scale, face,
-        stored_offset, per_texture_size, padding, sample_offset, more_padding);
+        stored_offset, per_texture_size, thin_depth, sample_offset, more_padding);
     same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joins_previous, intersects_group);
     let s = module(Program::Surface, false);
     same_layout!(&s, "SurfaceObject", SurfaceObjectUniform: grid_from_world, world_from_grid, size, kind, cells_origin, resolution_mm, cell_mm, step_mm,
@@ -92,7 +92,6 @@ pub fn counterparts_exist() {
                 ("CUT_LOOKBACK_SHARE: f32 = 0.9", "CUT_LOOKBACK_SHARE: f32 = 0.9"),
                 ("MAX_CUT_LOOKBACK: f32 = 4.0", "MAX_CUT_LOOKBACK: f32 = 4.0"),
                 ("CUT_LOOKBACK_STEPS: i32 = 4", "CUT_LOOKBACK_STEPS: u32 = 4"),
-                ("ENTRY_STEPS: i32 = 4", "ENTRY_STEPS: u32 = 4"),
                 ("FACE_STEPS: i32 = 10", "FACE_STEPS: u32 = 10"),
                 (
                     "SURFACE_GRADIENT_LOW: f32 = 0.004",
@@ -102,6 +101,15 @@ pub fn counterparts_exist() {
                     "SURFACE_GRADIENT_HIGH: f32 = 0.04",
                     "SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04]",
                 ),
+            ][..],
+        ),
+        (
+            "shaders/lib/edges.wgsl",
+            "src/cpu/edges.rs",
+            &[
+                ("EDGE_STEPS: i32 = 4", "EDGE_STEPS: u32 = 4"),
+                ("THIN_LAYER_SAMPLES: i32 = 8", "THIN_LAYER_SAMPLES: usize = LANES"),
+                ("OPAQUE_DEPTH: f32 = 9.0", "OPAQUE_DEPTH: f32 = 9.0"),
             ][..],
         ),
         (
@@ -150,11 +158,6 @@ pub fn counterparts_exist() {
             "shaders/bounds.wgsl",
             "src/render/sample_map.rs",
             &[("CELLS: u32 = 4u", "CELLS_PER_NODE: usize = 4")][..],
-        ),
-        (
-            "shaders/lib/cut.wgsl",
-            "src/deform/cut.rs",
-            &[("ROOT_STEPS: i32 = 4", "ROOT_STEPS: u32 = 4")][..],
         ),
         (
             "shaders/lib/found.wgsl",
@@ -218,8 +221,13 @@ const PAIRS: &[(&str, &str, &str)] = &[
     (
         "src/cpu/shading.rs",
         "shaders/lib/shading.wgsl",
-        "visible_sample cut_in_front own_color shade_point thin_layer_at_cut entry world_from_voxel_covector nearest_cut nearer_cut_shape \
-         is_cut grey_face light_cosine_by_derivative iso_surface path_fraction shaded_normal light",
+        "cut_in_front own_color shade_point world_from_voxel_covector nearest_cut nearer_cut_shape is_cut grey_face \
+         light_cosine_by_derivative iso_surface shaded_normal light",
+    ),
+    (
+        "src/cpu/edges.rs",
+        "shaders/lib/edges.wgsl",
+        "within_mask may_hide_a_layer near_edge extents=extent sees_behind",
     ),
     ("src/cpu/march.rs", "shaders/lib/march.wgsl", "first_sample_after"),
     (
@@ -253,8 +261,7 @@ const PAIRS: &[(&str, &str, &str)] = &[
     (
         "src/deform/cut.rs",
         "shaders/lib/cut.wgsl",
-        "signed_distance_mm=shape_signed_distance_mm signed_distance_mm=cuts_signed_distance_mm gradient=cuts_gradient \
-         retained_part root=cut_root",
+        "signed_distance_mm=shape_signed_distance_mm signed_distance_mm=cuts_signed_distance_mm gradient=cuts_gradient",
     ),
     (
         "src/transfer/table.rs",

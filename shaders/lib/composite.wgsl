@@ -19,65 +19,89 @@ fn proxy_range(origin: vec3<f32>, inverse_direction: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(max(nears.x, max(nears.y, nears.z)), min(fars.x, min(fars.y, fars.z)));
 }
 
-// Composites samples first .. end of a ray, at (i + 1/2) step.
-fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> RaySamples {
+// How far a ray has come.
+struct Advance {
+    // Index of the next sample.
+    i: i32,
+    // Whether samples were skipped before it, or none is left.
+    skipped: bool,
+    // Whether the ray is in a block of cut-free cells, and up to which t.
+    cut_free: bool,
+    cut_free_until: f32,
+}
+
+// Skips the rest of the block of empty cells around the next sample, if it lies in one.
+fn advanced(way: Advance, ray: Ray, inverse_direction: vec3<f32>, end: i32, step: f32) -> Advance {
+    var next = way;
+    let middle = (f32(way.i) + 0.5) * step;
+    next.skipped = way.i >= end;
+    if next.skipped || middle < way.cut_free_until {
+        return next;
+    }
+    let block = block_around(ray.origin + ray.direction * middle, ray.origin, inverse_direction);
+    if block.empty {
+        next.i = min(max(first_sample_after(block.until, step), way.i + 1), end);
+        next.skipped = true;
+    } else {
+        next.cut_free = block.cut_free;
+        next.cut_free_until = select(NEVER, block.until, block.cut_free);
+    }
+    return next;
+}
+
+// Composites samples first .. end of a ray, at (i + 1/2) step; `hidden`: something opaque ends it.
+fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32, hidden: bool) -> RaySamples {
     let inverse_direction = reciprocals(ray.direction);
     let length = step / frame.reference_mm;
     let half = half_vector(ray.direction);
     let needs_gradients = shades_by_gradient();
-    var i = first;
     var color = vec4<f32>(0.0);
     var projected = select(0.0, select(-1e30, 1e30, BLEND == BLEND_MINIP), BLEND != BLEND_AVERAGE);
     var present_count = 0.0;
     // Samples taken, skipped, and terminated behind opaque ones.
     var counted = vec3<u32>(0u);
-    // Value and index of the last present sample.
-    var before = 0.0;
-    var before_at = -2;
-    // Depth of the last sample (see PreviousSample), and the index after it.
-    var last_depth = 0.0;
+    // The last sample, and the index after it. If it has something to shade, it waits for the next
+    // one, since what it represents depends on both of its neighbours.
+    var last: FoundSample;
+    var before = EMPTY_NEIGHBOUR;
     var last_at = -2;
-    // Whether the ray is in a block of cut-free cells, and up to which t.
-    var cut_free = false;
-    var cut_free_until = NEVER;
-    while i < end {
+    var waiting = false;
+    // Whether a thin layer may lie in front of it that has not been searched for.
+    var layered = false;
+    var way = Advance(first, false, false, NEVER);
+    while way.i < end || waiting || layered {
         // Two loops, not a branch: rays run in lockstep, and shading costs far more than sampling.
         // The rays of a group sample until each has something to shade.
-        var stop = false;
-        var found: VisibleSample;
-        var at: SceneSample;
-        var share = 1.0;
-        var front: PreviousSample;
-        while i < end && !stop {
-            let middle = (f32(i) + 0.5) * step;
-            if !(middle < cut_free_until) {
-                let block = block_around(ray.origin + ray.direction * middle, ray.origin, inverse_direction);
-                if block.empty {
-                    let next = min(max(first_sample_after(block.until, step), i + 1), end);
-                    counted.y += u32(next - i);
-                    i = next;
-                    continue;
+        var stop = layered;
+        var found = last;
+        found.thin = true;
+        layered = false;
+        while (way.i < end || waiting) && !stop {
+            let middle = (f32(way.i) + 0.5) * step;
+            let from = way.i;
+            way = advanced(way, ray, inverse_direction, end, step);
+            counted.y += u32(way.i - from);
+            if way.skipped {
+                // The next sample lies in an empty cell, or past the end of the ray.
+                if waiting {
+                    found = last;
+                    found.next = EMPTY_NEIGHBOUR;
+                    found.hidden = hidden && last_at >= end;
+                    waiting = false;
+                    stop = true;
                 }
-                cut_free = block.cut_free;
-                cut_free_until = select(NEVER, block.until, cut_free);
-            }
-            let part = retained_part(ray.origin, ray.direction, middle, step);
-            i += 1;
-            counted.x += 1u;
-            if part.share <= 0.0 {
                 continue;
             }
-            share = part.share;
-            let sampled = ray.origin + ray.direction * part.t;
-            // Visible samples come in runs: the next one is likely to be shaded too.
-            at = sample_scene_and_gradient(sampled, needs_gradients && i - 1 == last_at && last_depth > 0.0);
-            // The same point, bit for bit, whether or not it was sampled.
-            let previous = sampled - ray.direction * step;
-            front = PreviousSample(previous, NOT_SAMPLED);
-            if share == 1.0 {
-                front.point = ray.origin + ray.direction * ((f32(i) - 1.5) * step);
-                front.depth = select(NOT_SAMPLED, last_depth, last_at == i - 1);
+            let sampled = ray.origin + ray.direction * middle;
+            var previous = EMPTY_NEIGHBOUR;
+            if last_at == way.i {
+                previous = before;
             }
+            // Visible samples come in runs: the next one is likely to be shaded too.
+            let with_gradient = needs_gradients && last_at == way.i && before.depth > 0.0;
+            let at = sample_scene_and_gradient(sampled, with_gradient);
+            way.i += 1;
+            counted.x += 1u;
             if BLEND != BLEND_COMPOSITE {
                 if at.present {
                     present_count += 1.0;
@@ -85,34 +109,35 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32) -> Ray
                 }
                 continue;
             }
-            if PREINTEGRATED == 0u {
-                found = visible_sample(at, sampled);
-                if share == 1.0 {
-                    last_depth = select(ABSENT, found.depth, at.present);
-                    last_at = i;
-                }
-            } else {
-                let front = front_value(at, previous, before, CUTS == 0u && before_at == i - 2);
-                if at.present {
-                    before = at.value;
-                    before_at = i - 1;
-                }
-                found = visible_segment_sample(at, front, sampled);
+            if PREINTEGRATED != 0u && previous.state != SAMPLED && at.present {
+                previous = as_neighbour(sample_scene(ray.origin + ray.direction * (middle - step)));
             }
-            stop = to_be_shaded(at, found.depth, sampled, step);
+            before = as_neighbour(at);
+            if waiting {
+                found = last;
+                found.next = before;
+                waiting = false;
+                stop = true;
+            }
+            let s = found_sample(at, sampled, previous);
+            last = FoundSample(s, at.present, at.alpha, false, way.cut_free, false, previous, before);
+            last_at = way.i;
+            waiting = to_be_shaded(at, s.depth, sampled, step);
+            if may_hide_a_layer(before, previous) && near_edge(at, sampled, step) {
+                layered = stop;
+                if !stop {
+                    found = last;
+                    found.thin = true;
+                    stop = true;
+                }
+            }
         }
         if stop {
-            let face = opaque_face(at, found.deformed, ray.direction, step);
-            if face.a > 0.0 {
-                color += face * (1.0 - color.a);
-            } else if ISO == ISO_NONE {
-                color += shaded_sample(
-                    at, found, front, cut_free, ray.direction, half, step, length * share
-                ) * (1.0 - color.a);
-            }
+            let shaded = shaded_sample(found, ray.direction, half, step, length);
+            color += shaded.color * (1.0 - color.a);
             let is_opaque = 1.0 - color.a < MIN_TRANSMITTANCE && frame.early_termination != 0u;
-            if face.a > 0.0 || is_opaque {
-                counted.z += u32(max(end - i, 0));
+            if shaded.is_face || is_opaque {
+                counted.z += u32(max(end - way.i, 0));
                 break;
             }
         }

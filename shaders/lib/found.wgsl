@@ -25,28 +25,12 @@ fn insert_value(projected: f32, value: f32) -> f32 {
     }
 }
 
-// Whether a sample is visible or may lie at a cut face.
+// Whether a sample is visible or may lie at a grey cut face.
 fn to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -> bool {
     if GREY_FACES != 0u && at.present && is_near_cut_face(at, sampled, step) {
         return true;
     }
-    if ISO != ISO_NONE {
-        return at.present && at.value >= frame.iso;
-    }
-    return depth > 0.0 || is_near_mask_edge(at);
-}
-
-// The value at the front end of a sample's segment: that of the previous sample if there is one,
-// otherwise the sample's own.
-fn front_value(at: SceneSample, previous: vec3<f32>, before: f32, is_known: bool) -> f32 {
-    if !at.present {
-        return at.value;
-    }
-    if is_known {
-        return before;
-    }
-    let earlier = sample_scene(previous);
-    return select(at.value, earlier.value, earlier.present);
+    return shows(at.present, at.value, depth);
 }
 
 // Whether visible samples are shaded by a gradient.
@@ -54,49 +38,63 @@ fn shades_by_gradient() -> bool {
     return BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && (is_lit() || uses_gradient_opacity());
 }
 
-// Colour of a sample after lighting, premultiplied by its opacity over `length` reference lengths.
-// `depth` is its own optical depth if it is visible, and `cut_free` states whether it lies in a
-// cut-free cell. An invisible sample is near a cut; then a thin layer between it and the cut is
-// searched for.
-fn shaded_sample(
-    at: SceneSample,
-    s: VisibleSample,
-    front: PreviousSample,
-    cut_free: bool,
-    direction: vec3<f32>,
-    half: vec3<f32>,
-    step: f32,
-    length: f32,
-) -> vec4<f32> {
-    var depth = s.depth;
-    var point: ShadingPoint;
-    if depth > 0.0 {
-        point = shading_point(s, front, cut_free, direction, step);
-    } else {
-        point = thin_layer_at_cut(s.deformed, at.present, direction, step);
-        depth = point.s.depth;
-        if depth <= 0.0 {
-            return vec4<f32>(0.0);
-        }
+// The visible sample at a point, by the segment in front of it where segments are pre-integrated;
+// `previous` lies one step in front of it.
+fn found_sample(at: SceneSample, sampled: vec3<f32>, previous: Neighbour) -> VisibleSample {
+    if PREINTEGRATED == 0u || !at.present {
+        return visible_sample(at, sampled);
     }
-    let shaded = shade_point(point, direction, half);
-    // Opacity correction: τ per Δ₀ times the sample's length in Δ₀.
-    let alpha = 1.0 - exp2(-depth * shaded.depth_factor * length);
-    return vec4<f32>(shaded.color * alpha, alpha);
+    let front = select(at.value, previous.value, previous.state == SAMPLED && previous.present);
+    let t = lookup_segment(front, at.value);
+    return VisibleSample(sampled, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
-// An opaque face at a sample: the grey face of a cut, or the iso-surface. Alpha 0: there is none.
-fn opaque_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step: f32) -> vec4<f32> {
-    if GREY_FACES != 0u && at.present {
-        let grey = grey_face(at, deformed, direction, step);
-        if grey >= 0.0 {
-            return vec4<f32>(vec3<f32>(grey), 1.0);
+// A sample after lighting.
+struct ShadedSample {
+    // Premultiplied by its opacity.
+    color: vec4<f32>,
+    // An opaque face: everything behind it is hidden.
+    is_face: bool,
+}
+
+// Shades a sample found; `length`: a step in reference lengths.
+fn shaded_sample(
+    found: FoundSample, direction: vec3<f32>, half: vec3<f32>, step: f32, length: f32
+) -> ShadedSample {
+    let nothing = ShadedSample(vec4<f32>(0.0), false);
+    var e = SampleExtent(found, found.s, false, false, 1.0, 0.0, step);
+    if ISO == ISO_NONE || found.thin {
+        e = extent(found, direction, step);
+        if found.thin && e.spacing == step {
+            return nothing;
         }
     }
-    if ISO != ISO_NONE && at.present && at.value >= frame.iso {
-        return vec4<f32>(iso_surface(deformed, direction, step), 1.0);
+    let at = e.at;
+    if GREY_FACES != 0u && at.present {
+        let grey = grey_face(at.alpha, at.s.deformed, direction, e.spacing);
+        if grey >= 0.0 {
+            return ShadedSample(vec4<f32>(vec3<f32>(grey), 1.0), true);
+        }
     }
-    return vec4<f32>(0.0);
+    if ISO != ISO_NONE {
+        if !(at.present && at.s.value >= frame.iso) {
+            return nothing;
+        }
+        return ShadedSample(vec4<f32>(iso_surface(at.s.deformed, direction, e.spacing), 1.0), true);
+    }
+    if at.s.depth <= 0.0 {
+        return nothing;
+    }
+    var s = e.entry;
+    s.depth = at.s.depth;
+    if PREINTEGRATED != 0u && !found.thin {
+        // The colour is that of the whole segment.
+        s.color = found.s.color;
+    }
+    let shaded = shade_point(s, e.entered, e.through_cut, found.cut_free && !found.thin, direction, half);
+    // Opacity correction: τ per Δ₀ times the sample's length in Δ₀.
+    let alpha = 1.0 - exp2(-(s.depth - e.floor) * shaded.depth_factor * e.share * length);
+    return ShadedSample(vec4<f32>(shaded.color * alpha, alpha), false);
 }
 
 fn is_near_cut_face(at: SceneSample, deformed: vec3<f32>, step: f32) -> bool {

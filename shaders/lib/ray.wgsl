@@ -9,8 +9,11 @@ fn ray_color(pixel: vec2<f32>) -> vec4<f32> {
     ray.origin += ray.direction * shift;
     var range = proxy_range(ray.origin, reciprocals(ray.direction));
     var surface = vec4<f32>(0.0);
+    var hidden = false;
     if BEHIND != 0u {
-        range.y = min(range.y, textureLoad(behind_t, vec2<i32>(pixel), 0).r - shift);
+        let until = textureLoad(behind_t, vec2<i32>(pixel), 0).r - shift;
+        hidden = until < range.y;
+        range.y = min(range.y, until);
         surface = textureLoad(behind, vec2<i32>(pixel), 0);
     }
     if range.x > range.y {
@@ -18,7 +21,7 @@ fn ray_color(pixel: vec2<f32>) -> vec4<f32> {
     }
     let step = frame.step_mm;
     let all = composite(
-        pixel, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step
+        pixel, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step, hidden
     );
     var color = all.color;
     if BLEND != BLEND_COMPOSITE {

@@ -3,7 +3,6 @@
 const SURFACE_GRADIENT_LOW: f32 = 0.004;
 const SURFACE_GRADIENT_HIGH: f32 = 0.04;
 const ISOTROPIC_DIFFUSE: f32 = 0.6;
-const ENTRY_STEPS: i32 = 4;
 
 struct Shaded {
     color: vec3<f32>,
@@ -68,12 +67,12 @@ fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> Near
         CUT_LOOKBACK_SHARE * max(cut.distance_mm, 0.0) / facing, MAX_CUT_LOOKBACK * frame.blend_far_mm
     );
     for (var n = 0; n < CUT_LOOKBACK_STEPS; n += 1) {
-        let back = dense_sample(s.deformed - direction * way, s.depth).depth;
-        if back >= 0.0 {
-            return cut;
-        }
-        if back == THINNER {
+        let back = sample_scene(s.deformed - direction * way);
+        if back.present && lookup(back.value).a < 0.5 * s.depth {
             return NO_CUT;
+        }
+        if back.present {
+            return cut;
         }
         way *= 0.5;
     }
@@ -89,78 +88,49 @@ fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
     return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));
 }
 
-// Values of an optical depth that is not known: present, but less than half as dense; not present;
-// not sampled.
-const THINNER: f32 = -1.0;
-const ABSENT: f32 = -2.0;
-const NOT_SAMPLED: f32 = -3.0;
-
-// The sample at a point if it is at least half as dense as `depth`; else its depth is THINNER or
-// ABSENT.
-fn dense_sample(deformed: vec3<f32>, depth: f32) -> VisibleSample {
-    let v = sample_scene(deformed);
-    if !v.present {
-        return VisibleSample(deformed, v.in_voxel, vec3<f32>(0.0), ABSENT, 0.0, NOT_FETCHED, false);
-    }
-    let t = lookup(v.value);
-    return VisibleSample(
-        deformed,
-        v.in_voxel,
-        t.rgb,
-        select(THINNER, t.a, t.a >= 0.5 * depth),
-        v.value,
-        v.gradient,
-        v.has_gradient,
-    );
-}
-
-struct SurfaceEntry {
-    first: VisibleSample,
+// Shades the point at which a sample is seen. `through_cut`: if the ray enters material there, it
+// does through a cut; `cut_free`: no cut except the volume's faces can be near; half: the result of
+// half_vector, constant along a ray.
+fn shade_point(
+    s: VisibleSample,
     entered: bool,
     through_cut: bool,
-}
-
-// What is known about the point one step in front of a sample.
-struct PreviousSample {
-    point: vec3<f32>,
-    // Its optical depth, or ABSENT or NOT_SAMPLED.
-    depth: f32,
-}
-
-// Shades a visible point. half: the result of half_vector, constant along a ray.
-fn shade_point(e: ShadingPoint, direction: vec3<f32>, half: vec3<f32>) -> Shaded {
-    let color = own_color(e.s.in_voxel, e.s.color);
+    cut_free: bool,
+    direction: vec3<f32>,
+    half: vec3<f32>,
+) -> Shaded {
+    let color = own_color(s.in_voxel, s.color);
     if !is_lit() && !uses_gradient_opacity() {
-        return Shaded(color, e.share);
+        return Shaded(color, 1.0);
     }
-    var per_voxel = e.s.gradient;
-    if !e.s.has_gradient {
-        per_voxel = gradient(e.s.in_voxel);
+    var per_voxel = s.gradient;
+    if !s.has_gradient {
+        per_voxel = gradient(s.in_voxel);
     }
     let gradient_in_source = world_from_voxel_covector(per_voxel);
-    var depth_factor = e.share;
+    var depth_factor = 1.0;
     if uses_gradient_opacity() {
-        depth_factor *= gradient_factor(length(gradient_in_source));
+        depth_factor = gradient_factor(length(gradient_in_source));
     }
     if !is_lit() {
         return Shaded(color, depth_factor);
     }
-    let far = e.cut_free && far_from_faces(e.s.in_voxel);
-    var j = e.j;
+    let far = cut_free && far_from_faces(s.in_voxel);
+    var j = identity_jet(s.deformed);
     // Far from every cut the deformation affects only points that have a normal.
-    if !e.has_jet && !(far && surface_confidence(gradient_in_source) <= 0.0) {
-        j = jet(e.s.deformed);
+    if !(far && surface_confidence(gradient_in_source) <= 0.0) {
+        j = jet(s.deformed);
     }
     var cut = NO_CUT;
-    if (!e.entered || e.through_cut) && !far {
-        cut = nearer_cut_shape(nearest_cut(j, e.s.in_voxel), e.s.deformed);
-        if !e.entered {
-            cut = cut_in_front(cut, e.s, direction);
+    if (!entered || through_cut) && !far {
+        cut = nearer_cut_shape(nearest_cut(j, s.in_voxel), s.deformed);
+        if !entered {
+            cut = cut_in_front(cut, s, direction);
         }
     }
     var falling = 1.0;
     if frame.two_sided == 0u {
-        falling = opacity_slope_sign(e.s.value);
+        falling = opacity_slope_sign(s.value);
     }
     let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
     return Shaded(light(n, half, color), depth_factor);
@@ -175,97 +145,8 @@ fn surface_confidence(gradient_in_source: vec3<f32>) -> f32 {
     );
 }
 
-// A layer thinner than a step between a cut and an invisible sample; depth 0 if there is none.
-fn thin_layer_at_cut(deformed: vec3<f32>, present: bool, direction: vec3<f32>, step_mm: f32) -> ShadingPoint {
-    var found = ShadingPoint(
-        VisibleSample(deformed, vec3<f32>(0.0), vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false),
-        true,
-        identity_jet(deformed),
-        false,
-        present,
-        0.0,
-        false,
-    );
-    let before = deformed - direction * step_mm;
-    let at_before = sample_scene(before);
-    if at_before.present == present || visible_sample(at_before, before).depth > 0.0 {
-        return found;
-    }
-    let end = select(before, deformed, present);
-    var inside = end;
-    var outside = select(deformed, before, present);
-    for (var n = 0; n < ENTRY_STEPS; n += 1) {
-        let middle = (inside + outside) * 0.5;
-        if sample_scene(middle).present {
-            inside = middle;
-        } else {
-            outside = middle;
-        }
-    }
-    let at_cut = visible_sample(sample_scene(inside), inside);
-    if at_cut.depth <= 0.0 {
-        return found;
-    }
-    var dense_end = at_cut;
-    var thin = end;
-    for (var n = 0; n < ENTRY_STEPS; n += 1) {
-        let middle = (dense_end.deformed + thin) * 0.5;
-        let s = visible_sample(sample_scene(middle), middle);
-        if s.depth > 0.0 {
-            dense_end = s;
-        } else {
-            thin = middle;
-        }
-    }
-    found.share = length(dense_end.deformed - outside) / step_mm;
-    if present {
-        found.s = at_cut;
-    } else {
-        found.s = dense_end;
-        found.s.depth = at_cut.depth;
-    }
-    return found;
-}
-
-// Where the ray entered the material of a sample, if it did so within the last step.
-fn entry(s: VisibleSample, front: PreviousSample, direction: vec3<f32>, step_mm: f32) -> SurfaceEntry {
-    var before = front.depth;
-    if before == NOT_SAMPLED {
-        before = dense_sample(front.point, s.depth).depth;
-    }
-    if before >= 0.5 * s.depth {
-        return SurfaceEntry(s, false, false);
-    }
-    var through_cut = before == ABSENT;
-    var first = s;
-    var width = step_mm;
-    for (var n = 0; n < ENTRY_STEPS; n += 1) {
-        width *= 0.5;
-        let nearer = dense_sample(first.deformed - direction * width, s.depth);
-        if nearer.depth >= 0.0 {
-            first = nearer;
-        } else {
-            through_cut = nearer.depth == ABSENT;
-        }
-    }
-    if PREINTEGRATED != 0u {
-        // The colour is that of the whole segment.
-        first.color = s.color;
-    }
-    return SurfaceEntry(first, true, through_cut);
-}
-
 fn world_from_voxel_covector(per_voxel: vec3<f32>) -> vec3<f32> {
     return transpose(linear_part(frame.voxel_from_world)) * per_voxel;
-}
-
-// As visible_sample, with colour and depth of the segment that starts at a front value.
-fn visible_segment_sample(at: SceneSample, front: f32, deformed: vec3<f32>) -> VisibleSample {
-    if !at.present {
-        return VisibleSample(deformed, at.in_voxel, vec3<f32>(0.0), 0.0, 0.0, NOT_FETCHED, false);
-    }
-    let t = lookup_segment(front, at.value);
-    return VisibleSample(deformed, at.in_voxel, t.rgb, t.a, at.value, at.gradient, at.has_gradient);
 }
 
 fn nearest_cut(j: Jet, in_voxel: vec3<f32>) -> NearestCut {
@@ -294,8 +175,8 @@ fn is_cut(deformed: vec3<f32>) -> bool {
 
 // The scan's grey value on the cut face that the ray came out of within the last step; negative if
 // there is none.
-fn grey_face(at: SceneSample, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
-    let near = at.alpha < 1.0 || (CUTS > 0u && cuts_signed_distance_mm(deformed) < 1.5 * step_mm);
+fn grey_face(alpha: f32, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
+    let near = alpha < 1.0 || (CUTS > 0u && cuts_signed_distance_mm(deformed) < 1.5 * step_mm);
     var outside = deformed - direction * step_mm;
     if !near || !is_cut(outside) {
         return -1.0;
@@ -382,35 +263,9 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     return light(n, half_vector(direction), color);
 }
 
-// The input of shade_point, shared by samples, entries and thin layers.
-struct ShadingPoint {
-    s: VisibleSample,
-    entered: bool,
-    // The jet at the point, if it is known.
-    j: Jet,
-    has_jet: bool,
-    through_cut: bool,
-    share: f32,
-    // No cut except the volume's faces can be near.
-    cut_free: bool,
-}
-
 const CUT_LOOKBACK_SHARE: f32 = 0.9;
 const MAX_CUT_LOOKBACK: f32 = 4.0;
 const CUT_LOOKBACK_STEPS: i32 = 4;
-
-fn path_fraction(cut: NearestCut, deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> f32 {
-    let facing = dot(cut.normal, direction);
-    let across = step_mm * abs(facing);
-    if cut.distance_mm >= 1.1 * across {
-        return 1.0;
-    }
-    let beyond = deformed + direction * select(step_mm, -step_mm, facing < 0.0);
-    if sample_scene(beyond).present {
-        return 1.0;
-    }
-    return 0.5 + clamp(cut.distance_mm / across, 0.0, 1.0);
-}
 
 fn shaded_normal(
     d_source_d_deformed: mat3x3<f32>, gradient_in_source: vec3<f32>, cut: NearestCut, direction: vec3<f32>
@@ -430,21 +285,6 @@ fn shaded_normal(
         confidence = max(own * confidence, 1.0 - own);
     }
     return Normal(normal, confidence);
-}
-
-// The shading point of a visible sample.
-fn shading_point(
-    s: VisibleSample, front: PreviousSample, cut_free: bool, direction: vec3<f32>, step_mm: f32
-) -> ShadingPoint {
-    var j = identity_jet(s.deformed);
-    var share = 1.0;
-    let near = !(cut_free && far_from_faces(s.in_voxel));
-    if near {
-        j = jet(s.deformed);
-        share = path_fraction(nearest_cut(j, s.in_voxel), s.deformed, direction, step_mm);
-    }
-    let e = entry(s, front, direction, step_mm);
-    return ShadingPoint(e.first, e.entered, j, near && !e.entered, e.through_cut, share, cut_free);
 }
 
 // Whether no face of the volume can be near.

@@ -59,7 +59,8 @@ struct Frame {
     stored_offset: f32,
     // 1 / texture_size.
     per_texture_size: vec3<f32>,
-    padding: f32,
+    // Optical depth below which a sample is thin (Prepared::thin_depth).
+    thin_depth: f32,
     // Where in its pixel every sample of a pass lies, pixels from the centre.
     sample_offset: vec2<f32>,
     more_padding: vec2<f32>,

@@ -2,8 +2,9 @@
 //! once it is known to be visible. How samples are found, and in which order they are composited,
 //! is up to each renderer ([`super::march`], [`super::slices`]).
 
+use super::edges::{FoundSamples, Neighbours, ShadingRays};
 use super::packet::{PacketSampler, SamplePacket};
-use super::packet_shading::{PreviousSamples, ScalarSample, ShadingRays};
+use super::packet_shading::{ScalarInput, ScalarSample};
 use crate::math::lanes::*;
 
 /// Counts how many samples of the packets so far found something to shade. Where few did, gradients
@@ -31,102 +32,6 @@ pub(super) fn pixel_shift(x: u32, y: u32) -> f32 {
     (h >> 8) as f32 / 16_777_216.0 - 0.5
 }
 
-/// Samples that have something to shade.
-pub(super) struct FoundSamples<S: Simd> {
-    /// Rays that have found one.
-    pub(super) lanes: mask32x8<S>,
-    pub(super) sample: SamplePacket<S>,
-    /// Their positions in the deformed scene.
-    pub(super) deformed: Vec3x8<S>,
-    /// The fraction of their step that they represent.
-    pub(super) share: f32x8<S>,
-    /// Which are near a cut shape.
-    pub(super) near_cut: mask32x8<S>,
-    pub(super) previous: PreviousSamples<S>,
-}
-
-impl<S: Simd> FoundSamples<S> {
-    /// No sample yet; `anywhere` fills the lanes that have none.
-    #[inline(always)]
-    pub(super) fn nothing(simd: S, anywhere: Vec3x8<S>, with_gradients: bool) -> Self {
-        let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-        let none = zero.simd_gt(one);
-        let sample = SamplePacket {
-            in_voxel: anywhere,
-            value: zero,
-            present: none,
-            alpha: one,
-            depth: zero,
-            front: zero,
-            inside: none,
-            cut_free: none,
-            differences: anywhere,
-            color: anywhere,
-            with_gradients,
-        };
-        let previous = PreviousSamples {
-            point: anywhere,
-            sampled: none,
-            present: none,
-            depth: zero,
-        };
-        Self {
-            lanes: none,
-            sample,
-            deformed: anywhere,
-            share: one,
-            near_cut: none,
-            previous,
-        }
-    }
-
-    /// Stores the samples of some lanes.
-    #[inline(always)]
-    pub(super) fn insert(
-        &mut self,
-        hit: mask32x8<S>,
-        new: &SamplePacket<S>,
-        deformed: Vec3x8<S>,
-        share: f32x8<S>,
-        near_cut: mask32x8<S>,
-        previous: &PreviousSamples<S>,
-    ) {
-        let at = &mut self.sample;
-        if self.lanes.all_false() {
-            // Other lanes need no preservation. Fields are assigned one by one: a call that copies
-            // the whole would save all registers around it.
-            (at.in_voxel, at.value, at.differences, at.color) =
-                (new.in_voxel, new.value, new.differences, new.color);
-            (at.depth, at.front, at.alpha) = (new.depth, new.front, new.alpha);
-            (at.present, at.inside, at.cut_free) = (new.present, new.inside, new.cut_free);
-            (self.deformed, self.share, self.near_cut, self.lanes) = (deformed, share, hit & near_cut, hit);
-            self.previous.point = previous.point;
-            self.previous.sampled = hit & previous.sampled;
-            self.previous.present = hit & previous.present;
-            self.previous.depth = previous.depth;
-        } else if hit.any_true() {
-            at.in_voxel = Vec3x8::select(hit, new.in_voxel, at.in_voxel);
-            at.value = hit.select(new.value, at.value);
-            at.present = (hit & new.present) | (at.present & !hit);
-            at.alpha = hit.select(new.alpha, at.alpha);
-            at.depth = hit.select(new.depth, at.depth);
-            at.front = hit.select(new.front, at.front);
-            at.inside = (hit & new.inside) | (at.inside & !hit);
-            at.cut_free = (hit & new.cut_free) | (at.cut_free & !hit);
-            at.differences = Vec3x8::select(hit, new.differences, at.differences);
-            at.color = Vec3x8::select(hit, new.color, at.color);
-            self.deformed = Vec3x8::select(hit, deformed, self.deformed);
-            self.share = hit.select(share, self.share);
-            self.near_cut |= hit & near_cut;
-            self.previous.point = Vec3x8::select(hit, previous.point, self.previous.point);
-            self.previous.sampled |= hit & previous.sampled;
-            self.previous.present |= hit & previous.present;
-            self.previous.depth = hit.select(previous.depth, self.previous.depth);
-            self.lanes |= hit;
-        }
-    }
-}
-
 /// Eight samples after lighting.
 pub(super) struct ShadedSamples<S: Simd> {
     /// Lit colours, not premultiplied.
@@ -150,7 +55,7 @@ impl<S: Simd> ShadedSamples<S> {
 
 impl PacketSampler<'_> {
     /// Which samples have something to shade: those that are visible, and those that may lie at the
-    /// face of a cut.
+    /// grey face of a cut.
     #[inline(always)]
     pub(super) fn to_be_shaded<S: Simd>(
         &self,
@@ -158,11 +63,7 @@ impl PacketSampler<'_> {
         lanes: mask32x8<S>,
         near_cut: mask32x8<S>,
     ) -> mask32x8<S> {
-        let mut hit = lanes
-            & match self.scene.volume().iso {
-                Some(iso) => sample.present & sample.value.simd_ge(iso),
-                None => sample.depth.simd_gt(0.0) | (sample.alpha.simd_gt(0.0) & sample.alpha.simd_lt(1.0)),
-            };
+        let mut hit = lanes & self.is_visible(sample);
         if self.grey_faces {
             hit |= lanes & sample.present & (sample.alpha.simd_lt(1.0) | near_cut);
         }
@@ -170,23 +71,23 @@ impl PacketSampler<'_> {
     }
 
     /// Depths of the segments between eight samples and the previous ones, where the transfer
-    /// function is pre-integrated.
+    /// function is pre-integrated. Previous samples that are not known are taken, at `point`.
     #[inline(always)]
     pub(super) fn look_up_segments<S: Simd>(
         &self,
         simd: S,
         sample: &mut SamplePacket<S>,
         lanes: mask32x8<S>,
-        previous: &PreviousSamples<S>,
-        last_value: f32x8<S>,
+        near_cut: mask32x8<S>,
+        previous: &mut Neighbours<S>,
+        point: Vec3x8<S>,
     ) {
         let Some(table) = &self.preintegrated else { return };
-        sample.front = (previous.sampled & previous.present).select(last_value, sample.value);
         let unknown = lanes & sample.present & !previous.sampled;
         if unknown.any_true() {
-            let earlier = self.sample_points_apart(simd, &previous.point, &unknown);
-            sample.front = earlier.present.select(earlier.value, sample.front);
+            previous.insert(unknown, &self.neighbours(simd, point, unknown, near_cut).0);
         }
+        sample.front = (previous.sampled & previous.present).select(previous.value, sample.value);
         for n in lanes_of((lanes & sample.present).to_bitmask()) {
             sample.depth[n] = self.segment(table, sample.front[n], sample.value[n])[3];
         }
@@ -199,9 +100,13 @@ impl PacketSampler<'_> {
         &self,
         simd: S,
         rays: &ShadingRays<S>,
-        found: &FoundSamples<S>,
+        found: &mut FoundSamples<S>,
         fetch_policy: &mut FetchPolicy,
     ) -> ShadedSamples<S> {
+        if found.thin.any_true() {
+            self.find_thin_layers(simd, rays, found);
+        }
+        let found = &*found;
         simd.vectorize(
             #[inline(always)]
             || {
@@ -209,41 +114,52 @@ impl PacketSampler<'_> {
                     lanes,
                     sample,
                     deformed,
-                    share,
+                    spacing,
                     ..
                 } = found;
                 let zero = f32x8::splat(simd, 0.0);
                 let mut visible = *lanes & sample.depth.simd_gt(0.0);
                 let mut opaque = *lanes & !*lanes;
+                let extents = self.extents(simd, rays, found, visible);
                 let (mut color, mut depth) = (*deformed, zero);
-                let mut scalar_lanes = self.scalar_lanes(simd, *rays, found, visible);
+                let mut scalar_lanes = self.scalar_lanes(simd, *rays, found);
                 let packet_lanes = visible & !scalar_lanes;
                 if packet_lanes.any_true() {
                     fetch_policy.shaded_lookups += 1;
-                    let (shaded, factor, cut) =
-                        self.shade(simd, sample, *deformed, *rays, packet_lanes, &found.previous);
+                    let (shaded, factor, cut) = self.shade(simd, found, *rays, packet_lanes, &extents);
                     color = shaded;
-                    depth = sample.depth * factor * *share;
+                    depth = (sample.depth - found.floor) * factor * extents.share;
                     scalar_lanes |= cut;
                 }
                 let scalar_lanes = scalar_lanes & *lanes;
                 if scalar_lanes.any_true() {
                     // Copies, since indexing by a variable keeps the indexed structure out of registers.
-                    let (sample, deformed, share) = (found.sample, found.deformed, found.share);
-                    let (direction, step) = (rays.direction, rays.step);
+                    let (sample, deformed, spacing) = (*sample, *deformed, *spacing);
+                    let (direction, extents) = (rays.direction, &extents);
                     for n in lanes_of(scalar_lanes.to_bitmask()) {
-                        let (lane, front) = (sample.lane(n), sample.front[n]);
-                        match self.shade_scalar(lane, front, deformed.lane(n), direction.lane(n), step[n]) {
+                        let (at, own_depth) = sample.lane(n);
+                        let entry = &extents.entry;
+                        let input = ScalarInput {
+                            at,
+                            depth: own_depth,
+                            front: sample.front[n],
+                            segment: self.preintegrated.is_some() && !found.thin.test(n),
+                            deformed: deformed.lane(n),
+                            entry: (entry.deformed.lane(n), entry.in_voxel.lane(n), entry.value[n]),
+                            entered: extents.entered.test(n).then(|| extents.through_cut.test(n)),
+                            spacing: spacing[n],
+                        };
+                        match self.shade_scalar(&input, direction.lane(n)) {
                             ScalarSample::Nothing => visible.set(n, false),
                             ScalarSample::Opaque(of_face) => {
                                 opaque.set(n, true);
                                 color.set(n, of_face);
                                 visible.set(n, true);
                             }
-                            ScalarSample::Visible(of_sample, depth_of_sample) => {
+                            ScalarSample::Visible(of_sample, factor) => {
                                 visible.set(n, true);
                                 color.set(n, of_sample);
-                                depth[n] = depth_of_sample * share[n];
+                                depth[n] = (own_depth - found.floor[n]) * factor * extents.share[n];
                             }
                         }
                     }
@@ -258,26 +174,15 @@ impl PacketSampler<'_> {
         )
     }
 
-    /// Which of the samples found are shaded one by one: those near a cut, and those at which
-    /// material ends.
+    /// Which of the samples found are shaded one by one: those near a cut or a face of the volume,
+    /// and thin layers there.
     #[inline(always)]
-    fn scalar_lanes<S: Simd>(
-        &self,
-        simd: S,
-        rays: ShadingRays<S>,
-        found: &FoundSamples<S>,
-        visible: mask32x8<S>,
-    ) -> mask32x8<S> {
-        let FoundSamples {
-            lanes,
-            sample,
-            previous,
-            ..
-        } = found;
+    fn scalar_lanes<S: Simd>(&self, simd: S, rays: ShadingRays<S>, found: &FoundSamples<S>) -> mask32x8<S> {
+        let FoundSamples { lanes, sample, .. } = found;
         if self.grey_faces || self.scene.volume().iso.is_some() {
             return *lanes;
         }
-        let mut scalar_lanes = found.near_cut & *lanes;
+        let mut scalar_lanes = (found.near_cut | found.thin) & *lanes;
         // Faces of the volume farther than a step away change only the normal, unless there are
         // holes.
         let near_face = *lanes
@@ -291,9 +196,6 @@ impl PacketSampler<'_> {
             };
             scalar_lanes |= near_face & self.nearest_face(simd, sample.in_voxel).0.simd_lt(near);
         }
-        // Material that ends between the previous sample and this one, both invisible: only one of
-        // the two is present then.
-        let both = (previous.present & sample.present) | !(previous.present | sample.present);
-        scalar_lanes | (*lanes & !visible & !(previous.sampled & (both | previous.depth.simd_gt(0.0))))
+        scalar_lanes
     }
 }

@@ -6,20 +6,21 @@
 //! semi-transparent regions, until half of them have); then those that have found something shade
 //! together. A ray waits while its neighbours sample, never while they shade.
 //!
+//! A visible sample is shaded when the next one is known, since what it represents depends on both
+//! of its neighbours ([`super::edges`]). A neighbour in an empty cell is known to show nothing.
+//!
 //! Most samples are *plain*: they are farther from every cut than the distance at which a cut
 //! affects lighting. Near a face of the volume's own box, they are farther than the distance at
 //! which the face affects anything but normals. For these the lanes compute what [`super::shading`]
 //! computes for one sample, without the parts known to have no effect. The remaining samples, next
 //! to a cut, are passed to it one by one; there are few, since a cut is a surface.
 //!
-//! *Work avoided*: the point in front of a sample has usually just been sampled, hence it is known
-//! without another sample whether the ray enters the material here. The distance to the cut shapes
-//! changes no faster than the point moves, hence it is bounded between two evaluations. The
-//! Jacobian is the identity outside all maps.
+//! *Work avoided*: the distance to the cut shapes changes no faster than the point moves, hence it
+//! is bounded between two evaluations. The Jacobian is the identity outside all maps.
 
-use super::found::{FetchPolicy, FoundSamples, ShadedSamples};
-use super::packet::PacketSampler;
-use super::packet_shading::{PreviousSamples, ShadingRays};
+use super::edges::{FoundSamples, Neighbours, NewSamples, ShadingRays};
+use super::found::{FetchPolicy, ShadedSamples};
+use super::packet::{PacketSampler, SamplePacket};
 use super::{IntensityProjection, MIN_TRANSMITTANCE};
 use crate::math::lanes::*;
 use crate::picture::RenderStats;
@@ -68,25 +69,21 @@ impl PacketSampler<'_> {
         let Some((rays, mut way)) = self.begin(simd, rays, fetch_policy) else {
             return [[0.0; 4]; LANES];
         };
-        let mut accumulated = Accumulated {
-            color: Vec3x8::splat(simd, Vec3::ZERO),
-            transmittance: f32x8::splat(simd, 1.0),
-            projection: IntensityProjection::new(simd, self.scene.volume().blend),
-        };
         while way.live.any_true() {
-            let found = self.collect(simd, &rays, &mut way, &mut accumulated, stats, fetch_policy);
+            let mut found = self.collect(simd, &rays, &mut way, stats, fetch_policy);
             if found.lanes.all_false() {
                 break;
             }
-            self.composite_found(simd, &rays, &found, &mut way, &mut accumulated, fetch_policy);
+            self.composite_found(simd, &rays, &mut found, &mut way, fetch_policy);
         }
         stats.samples_skipped += sum(way.skipped);
         stats.samples_terminated += sum(way.terminated);
-        let Accumulated {
+        let March {
             color,
             transmittance,
             projection,
-        } = accumulated;
+            ..
+        } = way;
         let mut colors = [[0.0; 4]; LANES];
         for (n, color_of) in colors.iter_mut().enumerate() {
             *color_of = if self.composite {
@@ -130,6 +127,7 @@ impl PacketSampler<'_> {
         }
         let none = number.simd_lt(-1.0);
         let never = f32x8::splat(simd, f32::NEG_INFINITY);
+        let with_gradients = self.sampler.has_gradients() && fetch_policy.fetches_gradients();
         let rays = MarchRays {
             origin,
             direction,
@@ -138,7 +136,8 @@ impl PacketSampler<'_> {
             step,
             length: step * frame.spacing.reference_mm.recip(),
             end,
-            with_gradients: self.sampler.has_gradients() && fetch_policy.fetches_gradients(),
+            hidden: until.simd_lt(far),
+            with_gradients,
             ahead: direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3))
                 * (step * PREFETCH_STEPS),
             none,
@@ -148,9 +147,13 @@ impl PacketSampler<'_> {
             live,
             last: LastSamples {
                 number: f32x8::splat(simd, NO_SAMPLE),
-                present: none,
-                depth: zero,
-                value: zero,
+                sample: SamplePacket::absent(simd, origin, with_gradients),
+                own_depth: zero,
+                deformed: origin,
+                near_cut: none,
+                previous: Neighbours::invisible(simd),
+                waiting: none,
+                layered: none,
             },
             cut_distance_t: never,
             cut_distance_mm: f32x8::splat(simd, -1.0),
@@ -158,6 +161,9 @@ impl PacketSampler<'_> {
             cut_free_until: never,
             skipped: zero,
             terminated: zero,
+            color: Vec3x8::splat(simd, Vec3::ZERO),
+            transmittance: f32x8::splat(simd, 1.0),
+            projection: IntensityProjection::new(simd, scene.volume().blend),
         };
         Some((rays, march))
     }
@@ -199,51 +205,30 @@ impl PacketSampler<'_> {
         }
     }
 
-    /// What the cut shapes leave of the steps of eight samples: which lanes have anything left, the
-    /// fraction of their step, and which are near a shape. The samples move to the middle of the
-    /// retained part.
+    /// Which of eight samples the cut shapes remove, and which are near a shape.
     #[inline(always)]
-    fn retain<S: Simd>(
+    fn cut_by_shapes<S: Simd>(
         &self,
-        simd: S,
-        rays: &MarchRays<S>,
         way: &mut March<S>,
         lanes: mask32x8<S>,
         t: f32x8<S>,
-        p: &mut Vec3x8<S>,
-    ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
-        let cuts = &self.scene.cuts;
-        let mut share = f32x8::splat(simd, 1.0);
+        p: Vec3x8<S>,
+    ) -> (mask32x8<S>, mask32x8<S>) {
         // Copies, since indexing by a variable keeps the indexed structure out of registers.
         let (mut evaluated_at, mut distance_mm) = (way.cut_distance_t, way.cut_distance_mm);
-        // The distance is bounded by how far the ray has moved since; evaluate it only where the
-        // bound does not decide.
+        // The distance is bounded by how far the ray has moved since; it is evaluated only where
+        // the bound does not decide.
         let certain_mm = distance_mm.abs() - (t - evaluated_at).abs();
-        let unsure = lanes & !certain_mm.simd_gt(rays.step * 0.5);
+        let unsure = lanes & !certain_mm.simd_gt(self.margin_mm);
         for n in lanes_of(unsure.to_bitmask()) {
-            let (o, d, t) = (rays.origin.lane(n), rays.direction.lane(n), t[n]);
-            evaluated_at[n] = t;
-            distance_mm[n] = cuts.signed_distance_mm(o + d * t);
-            if distance_mm[n].abs() <= 0.5 * rays.step[n] {
-                let retained = cuts.retained_part(o, d, t, rays.step[n]);
-                share[n] = retained.share;
-                p.set(n, o + d * retained.at);
-            }
-        }
-        let certain_mm = distance_mm.abs() - (t - evaluated_at).abs();
-        let whole = certain_mm.simd_gt(rays.step * 0.5);
-        share = (whole & distance_mm.simd_lt(0.0)).select(f32x8::splat(simd, 0.0), share);
-        let left = lanes & share.simd_gt(0.0);
-        let mut near_cut = left & !(certain_mm.simd_gt(self.margin_mm) & distance_mm.simd_gt(0.0));
-        // Evaluated again where the bound does not decide: a sample must not depend on where the
-        // distance was evaluated before.
-        for n in lanes_of(near_cut.to_bitmask()) {
             evaluated_at[n] = t[n];
-            distance_mm[n] = cuts.signed_distance_mm(rays.origin.lane(n) + rays.direction.lane(n) * t[n]);
-            near_cut.set(n, distance_mm[n] <= self.margin_mm);
+            distance_mm[n] = self.scene.cuts.signed_distance_mm(p.lane(n));
         }
         (way.cut_distance_t, way.cut_distance_mm) = (evaluated_at, distance_mm);
-        (left, share, near_cut)
+        (
+            lanes & distance_mm.simd_lt(0.0),
+            unsure & distance_mm.abs().simd_le(self.margin_mm),
+        )
     }
 
     /// Samples along the rays until each has found something to shade or has ended, or, where most
@@ -254,63 +239,34 @@ impl PacketSampler<'_> {
         simd: S,
         rays: &MarchRays<S>,
         way: &mut March<S>,
-        accumulated: &mut Accumulated<S>,
         stats: &mut RenderStats,
         fetch_policy: &mut FetchPolicy,
     ) -> FoundSamples<S> {
-        let (origin, direction, step) = (rays.origin, rays.direction, rays.step);
-        let no_sample = f32x8::splat(simd, NO_SAMPLE);
-        let mut found = FoundSamples::nothing(simd, origin, rays.with_gradients);
-        let mut searching = way.live;
-        while searching.any_true() {
-            let (t, mut p) = self.advance_through_empty_space(simd, rays, way, &mut searching);
-            let here = searching;
+        let mut found = FoundSamples::nothing(simd, rays.origin, rays.step, rays.with_gradients);
+        let layered = way.live & way.last.layered;
+        if layered.any_true() {
+            found.insert_layers(layered, &way.last.with_next(Neighbours::invisible(simd)));
+            way.last.layered &= !layered;
+        }
+        let mut searching = way.live & !layered;
+        loop {
+            let mut here = searching & way.number.simd_lt(rays.end);
+            let (t, p) = self.advance_through_empty_space(simd, rays, way, &mut here);
+            // Samples whose next one lies in an empty cell, or past the end of the ray.
+            let alone = searching & way.last.waiting & !(here & way.number.simd_eq(way.last.number + 1.0));
+            if alone.any_true() {
+                found.insert(alone, &way.last.with_next(Neighbours::invisible(simd)));
+                found.hidden |= alone & rays.hidden & way.last.number.simd_ge(rays.end - 1.0);
+                way.last.waiting &= !alone;
+            }
+            let here = here & !alone;
             if here.all_false() {
                 break;
             }
             stats.samples_taken += count(here);
-            let number = way.number;
-            way.number = here.select(number + 1.0, number);
-            searching &= way.number.simd_lt(rays.end);
-            let (mut lanes, mut share, mut near_cut) = (here, f32x8::splat(simd, 1.0), rays.none);
-            if !self.scene.cuts.is_empty() {
-                (lanes, share, near_cut) = self.retain(simd, rays, way, here, t, &mut p);
-                if lanes.all_false() {
-                    way.last.number = here.select(no_sample, way.last.number);
-                    continue;
-                }
-            }
             fetch_policy.lookups += 1;
-            let mut sample = self.sample_points(simd, p, lanes, rays.with_gradients);
-            sample.cut_free = way.cut_free;
-            if rays.with_gradients {
-                self.sampler.prefetch(sample.in_voxel + rays.ahead);
-            }
-            if !self.composite {
-                accumulated.projection.insert(sample.value, sample.present);
-                continue;
-            }
-            let whole = share.simd_eq(1.0);
-            let previous = PreviousSamples {
-                // The same point, bit for bit, whether or not it was sampled.
-                point: Vec3x8::select(
-                    whole,
-                    origin + direction * ((number - 0.5) * step),
-                    p - direction * step,
-                ),
-                sampled: lanes & way.last.number.simd_eq(number - 1.0) & whole,
-                present: way.last.present,
-                depth: way.last.depth,
-            };
-            let own_depth = sample.depth;
-            self.look_up_segments(simd, &mut sample, lanes, &previous, way.last.value);
-            let hit = self.to_be_shaded(&sample, lanes, near_cut);
-            found.insert(hit, &sample, p, share, near_cut, &previous);
-            searching &= !hit;
-            way.last.number = here.select((lanes & whole).select(number, no_sample), way.last.number);
-            way.last.present = (here & sample.present) | (way.last.present & !here);
-            way.last.depth = here.select(own_depth, way.last.depth);
-            way.last.value = here.select(sample.value, way.last.value);
+            self.sample_step(simd, rays, way, (here, t, p), &mut found);
+            searching = here & !found.lanes & (way.number.simd_lt(rays.end) | way.last.waiting);
             // Does not wait for the others where they mostly have something to shade too: a sample
             // for a few lanes costs as much as one for all.
             if rays.with_gradients && count(found.lanes) >= LANES as u64 / 2 {
@@ -320,6 +276,78 @@ impl PacketSampler<'_> {
         found
     }
 
+    /// Samples one step of some rays. What is found is the samples before, if they wait for these,
+    /// and thin layers between the two.
+    #[inline(always)]
+    fn sample_step<S: Simd>(
+        &self,
+        simd: S,
+        rays: &MarchRays<S>,
+        way: &mut March<S>,
+        (here, t, p): (mask32x8<S>, f32x8<S>, Vec3x8<S>),
+        found: &mut FoundSamples<S>,
+    ) {
+        let number = way.number;
+        way.number = here.select(number + 1.0, number);
+        let (mut removed, mut near_cut) = (rays.none, rays.none);
+        if !self.scene.cuts.is_empty() {
+            (removed, near_cut) = self.cut_by_shapes(way, here, t, p);
+        }
+        let lanes = here & !removed;
+        let mut sample = if lanes.any_true() {
+            self.sample_points(simd, p, lanes, rays.with_gradients)
+        } else {
+            SamplePacket::absent(simd, p, rays.with_gradients)
+        };
+        let zero = f32x8::splat(simd, 0.0);
+        sample.alpha = removed.select(zero, sample.alpha);
+        sample.cut_free = way.cut_free;
+        if rays.with_gradients {
+            self.sampler.prefetch(sample.in_voxel + rays.ahead);
+        }
+        if !self.composite {
+            way.projection.insert(sample.value, sample.present);
+            return;
+        }
+        let last = &way.last;
+        let sampled = here & last.number.simd_eq(number - 1.0);
+        let mut previous = Neighbours {
+            depth: sampled.select(last.own_depth, zero),
+            value: last.sample.value,
+            present: sampled & last.sample.present,
+            sampled,
+        };
+        // A neighbour's density is its own, not that of the segment in front of it.
+        let as_neighbour = Neighbours {
+            depth: sample.depth,
+            value: sample.value,
+            present: sample.present,
+            sampled: here,
+        };
+        let point = rays.origin + rays.direction * ((number - 0.5) * rays.step);
+        self.look_up_segments(simd, &mut sample, lanes, near_cut, &mut previous, point);
+        let complete = here & last.waiting;
+        if complete.any_true() {
+            found.insert(complete, &last.with_next(as_neighbour));
+        }
+        let hit = self.to_be_shaded(&sample, lanes, near_cut);
+        let new = NewSamples {
+            sample: &sample,
+            deformed: p,
+            near_cut,
+            previous,
+            next: as_neighbour,
+        };
+        let mut layered =
+            here & self.may_hide_a_layer(&sample, as_neighbour.depth, &previous, last.sample.alpha);
+        if layered.any_true() {
+            layered &= self.near_edge(&sample, near_cut);
+            found.insert_layers(layered & !complete, &new);
+        }
+        way.last.layered = (layered & complete) | (way.last.layered & !here);
+        way.last.insert(here, number, hit, as_neighbour.depth, &new);
+    }
+
     /// Shades the samples found and composites them behind the accumulated colour; rays that have
     /// become opaque end.
     #[inline(always)]
@@ -327,9 +355,8 @@ impl PacketSampler<'_> {
         &self,
         simd: S,
         rays: &MarchRays<S>,
-        found: &FoundSamples<S>,
+        found: &mut FoundSamples<S>,
         way: &mut March<S>,
-        accumulated: &mut Accumulated<S>,
         fetch_policy: &mut FetchPolicy,
     ) {
         let shading_rays = ShadingRays {
@@ -347,17 +374,18 @@ impl PacketSampler<'_> {
         let one = f32x8::splat(simd, 1.0);
         let pass = shaded.transmittance(simd, rays.length);
         let zero = f32x8::splat(simd, 0.0);
-        let weight = visible.select(accumulated.transmittance * (one - pass), zero);
-        accumulated.color = accumulated.color + Vec3x8::select(visible, color, accumulated.color) * weight;
-        accumulated.transmittance =
-            visible.select(accumulated.transmittance * pass, accumulated.transmittance);
+        let weight = visible.select(way.transmittance * (one - pass), zero);
+        way.color = way.color + Vec3x8::select(visible, color, way.color) * weight;
+        way.transmittance = visible.select(way.transmittance * pass, way.transmittance);
         let mut through = opaque;
         if self.scene.settings.early_termination {
-            through |= visible & accumulated.transmittance.simd_lt(MIN_TRANSMITTANCE);
+            through |= visible & way.transmittance.simd_lt(MIN_TRANSMITTANCE);
         }
         let through = through & way.live;
         way.terminated += through.select((rays.end - way.number).max(0.0), zero);
-        way.live &= !through & way.number.simd_lt(rays.end);
+        way.last.waiting &= !through;
+        way.last.layered &= !through;
+        way.live &= !through & (way.number.simd_lt(rays.end) | way.last.waiting | way.last.layered);
     }
 }
 
@@ -377,6 +405,8 @@ struct MarchRays<S: Simd> {
     length: f32x8<S>,
     /// Index after the last sample.
     end: f32x8<S>,
+    /// Which end at something opaque.
+    hidden: mask32x8<S>,
     /// Whether gradients are fetched together with values.
     with_gradients: bool,
     /// Offset from a sample to the point to prefetch, voxels.
@@ -401,21 +431,65 @@ struct March<S: Simd> {
     /// Numbers of samples skipped.
     skipped: f32x8<S>,
     terminated: f32x8<S>,
+    /// What has been composited so far, front to back, premultiplied; or projected.
+    color: Vec3x8<S>,
+    transmittance: f32x8<S>,
+    projection: IntensityProjection<S>,
 }
 
 /// The last sample taken on each ray.
 struct LastSamples<S: Simd> {
-    /// Its index, if it represents its whole step.
+    /// Its index.
     number: f32x8<S>,
-    present: mask32x8<S>,
-    depth: f32x8<S>,
-    value: f32x8<S>,
+    sample: SamplePacket<S>,
+    /// Its own optical depth, as opposed to that of the segment in front of it.
+    own_depth: f32x8<S>,
+    deformed: Vec3x8<S>,
+    near_cut: mask32x8<S>,
+    previous: Neighbours<S>,
+    /// Which have something to shade as soon as the next sample is known.
+    waiting: mask32x8<S>,
+    /// Which may have a thin layer in front of them that is not shaded yet.
+    layered: mask32x8<S>,
 }
 
-/// The accumulated colour of eight rays, front to back.
-struct Accumulated<S: Simd> {
-    /// Premultiplied.
-    color: Vec3x8<S>,
-    transmittance: f32x8<S>,
-    projection: IntensityProjection<S>,
+impl<S: Simd> LastSamples<S> {
+    /// The samples as found, now that the next ones are known.
+    #[inline(always)]
+    fn with_next(&self, next: Neighbours<S>) -> NewSamples<'_, S> {
+        NewSamples {
+            sample: &self.sample,
+            deformed: self.deformed,
+            near_cut: self.near_cut,
+            previous: self.previous,
+            next,
+        }
+    }
+
+    /// Replaces the samples of the lanes `here`; those of `hit` have something to shade.
+    #[inline(always)]
+    fn insert(
+        &mut self,
+        here: mask32x8<S>,
+        number: f32x8<S>,
+        hit: mask32x8<S>,
+        own_depth: f32x8<S>,
+        new: &NewSamples<S>,
+    ) {
+        self.number = here.select(number, self.number);
+        self.own_depth = here.select(own_depth, self.own_depth);
+        self.waiting = (hit & here) | (self.waiting & !here);
+        if (hit | self.layered).any_true() {
+            self.sample.insert(here, new.sample);
+            self.deformed = Vec3x8::select(here, new.deformed, self.deformed);
+            self.near_cut = (here & new.near_cut) | (self.near_cut & !here);
+            self.previous.insert(here, &new.previous);
+        } else {
+            // Of what shows nothing only this is read again.
+            let (to, from) = (&mut self.sample, new.sample);
+            to.value = here.select(from.value, to.value);
+            to.alpha = here.select(from.alpha, to.alpha);
+            to.present = (here & from.present) | (to.present & !here);
+        }
+    }
 }

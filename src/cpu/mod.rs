@@ -27,6 +27,7 @@
 //!
 //! `shaders/lib` contains the same arithmetic under the same names.
 
+mod edges;
 mod found;
 pub mod march;
 mod outline;

@@ -41,6 +41,8 @@ pub struct PacketSampler<'a> {
     pub(super) deformed_face_margin_voxels: Vec3,
     /// The same for cuts, mm.
     pub(super) margin_mm: f32,
+    /// See [`Prepared::thin_depth`].
+    pub(super) thin_depth: f32,
     /// Transforms a covector per voxel to one per mm.
     pub(super) world_from_covector: Mat3,
     /// Whether samples are composited; projections need only values.
@@ -62,6 +64,7 @@ impl<'a> PacketSampler<'a> {
             face_margin_voxels: scene.face_margin_voxels(),
             deformed_face_margin_voxels: scene.deformed_face_margin_voxels(),
             margin_mm: scene.cut_margin_mm(),
+            thin_depth: scene.thin_depth(),
             world_from_covector,
             composite: scene.volume().blend == Blend::Composite,
             grey_faces: scene.grey_faces(),
@@ -131,21 +134,6 @@ impl<'a> PacketSampler<'a> {
         }
     }
 
-    /// As [`Self::sample_points`] without gradients, but not inlined: one copy for all samples that
-    /// are taken seldom, where a copy each would double the size of the program.
-    #[inline(never)]
-    pub(super) fn sample_points_apart<S: Simd>(
-        &self,
-        simd: S,
-        p: &Vec3x8<S>,
-        lanes: &mask32x8<S>,
-    ) -> SamplePacket<S> {
-        simd.vectorize(
-            #[inline(always)]
-            || self.sample_points(simd, *p, *lanes, false),
-        )
-    }
-
     /// The nearest of the volume's faces outside all maps: distances, mm, and normals out of the
     /// volume.
     #[inline(always)]
@@ -193,6 +181,43 @@ impl<'a> PacketSampler<'a> {
 }
 
 impl<S: Simd> SamplePacket<S> {
+    /// Nothing present; `anywhere` fills the positions.
+    #[inline(always)]
+    pub(super) fn absent(simd: S, anywhere: Vec3x8<S>, with_gradients: bool) -> Self {
+        let zero = f32x8::splat(simd, 0.0);
+        let none = zero.simd_lt(zero);
+        Self {
+            in_voxel: anywhere,
+            value: zero,
+            present: none,
+            alpha: zero,
+            depth: zero,
+            front: zero,
+            inside: none,
+            cut_free: none,
+            differences: anywhere,
+            color: anywhere,
+            with_gradients,
+        }
+    }
+
+    /// Takes some lanes from another packet.
+    #[inline(always)]
+    pub(super) fn insert(&mut self, lanes: mask32x8<S>, new: &Self) {
+        self.in_voxel = Vec3x8::select(lanes, new.in_voxel, self.in_voxel);
+        self.value = lanes.select(new.value, self.value);
+        self.present = (lanes & new.present) | (self.present & !lanes);
+        self.alpha = lanes.select(new.alpha, self.alpha);
+        self.depth = lanes.select(new.depth, self.depth);
+        self.front = lanes.select(new.front, self.front);
+        self.inside = (lanes & new.inside) | (self.inside & !lanes);
+        self.cut_free = (lanes & new.cut_free) | (self.cut_free & !lanes);
+        if self.with_gradients {
+            self.differences = Vec3x8::select(lanes, new.differences, self.differences);
+            self.color = Vec3x8::select(lanes, new.color, self.color);
+        }
+    }
+
     /// The sample of one lane, and its optical depth.
     #[inline(always)]
     pub(super) fn lane(&self, n: usize) -> (SceneSample, f32) {

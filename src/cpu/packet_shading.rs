@@ -1,10 +1,11 @@
 //! [`super::shading`] for eight samples at once, and for those that must be shaded one by one.
 
 use super::SceneSample;
+use super::edges::{FoundSamples, SampleExtents, ShadingRays, SurfaceEntries};
 use super::packet::{PacketSampler, SamplePacket};
 use super::shading::{
-    self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ENTRY_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK,
-    SURFACE_GRADIENT, VisibleSample,
+    self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK, SURFACE_GRADIENT,
+    VisibleSample,
 };
 use crate::math::lanes::*;
 use crate::scene::Normals;
@@ -26,52 +27,47 @@ fn lit<S: Simd>(
 impl PacketSampler<'_> {
     /// A sample that is not plain.
     #[inline(never)]
-    pub(super) fn shade_scalar(
-        &self,
-        (at, depth): (SceneSample, f32),
-        front: f32,
-        sampled: Vec3,
-        direction: Vec3,
-        step: f32,
-    ) -> ScalarSample {
+    pub(super) fn shade_scalar(&self, input: &ScalarInput, direction: Vec3) -> ScalarSample {
         let (scene, sampler) = (self.scene, self.sampler);
+        let ScalarInput {
+            at,
+            depth,
+            deformed,
+            spacing,
+            ..
+        } = *input;
         if at.present
             && self.grey_faces
-            && let Some(grey) = shading::grey_face(scene, sampler, &at, sampled, direction, step)
+            && let Some(grey) = shading::grey_face(scene, sampler, &at, deformed, direction, spacing)
         {
             return ScalarSample::Opaque(Vec3::splat(grey));
         }
         if let Some(iso) = scene.volume().iso {
             if at.present && at.value >= iso {
                 return ScalarSample::Opaque(shading::iso_surface(
-                    scene, sampler, iso, sampled, direction, step,
+                    scene, sampler, iso, deformed, direction, spacing,
                 ));
             }
             return ScalarSample::Nothing;
         }
-        if depth > 0.0 {
-            let [r, g, b, depth] = match &self.preintegrated {
-                Some(table) => self.segment(table, front, at.value),
-                None => scene.volume().table.lookup(at.value),
-            };
-            let sample = VisibleSample {
-                deformed: sampled,
-                in_voxel: at.in_voxel,
-                color: Vec3::new(r, g, b),
-                depth,
-                value: at.value,
-            };
-            let shaded = shading::shade(scene, sampler, &sample, direction, step);
-            return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
+        if depth <= 0.0 {
+            return ScalarSample::Nothing;
         }
-        if at.alpha > 0.0
-            && at.alpha < 1.0
-            && let Some((depth, shaded)) =
-                shading::thin_layer_at_cut(scene, sampler, sampled, at.present, direction, step)
-        {
-            return ScalarSample::Visible(shaded.color, depth * shaded.depth_factor);
-        }
-        ScalarSample::Nothing
+        let (entry_deformed, in_voxel, value) = input.entry;
+        let [r, g, b, _] = match &self.preintegrated {
+            // The colour is that of the whole segment.
+            Some(table) if input.segment => self.segment(table, input.front, at.value),
+            _ => scene.volume().table.lookup(value),
+        };
+        let sample = VisibleSample {
+            deformed: entry_deformed,
+            in_voxel,
+            color: Vec3::new(r, g, b),
+            depth,
+            value,
+        };
+        let shaded = shading::shade(scene, sampler, &sample, input.entered, direction);
+        ScalarSample::Visible(shaded.color, shaded.depth_factor)
     }
 
     /// Lighting of eight visible samples: colours, factors on their depths, and which of `lanes`
@@ -80,15 +76,15 @@ impl PacketSampler<'_> {
     pub(super) fn shade<S: Simd>(
         &self,
         simd: S,
-        at: &SamplePacket<S>,
-        sampled: Vec3x8<S>,
+        found: &FoundSamples<S>,
         rays: ShadingRays<S>,
         lanes: mask32x8<S>,
-        front: &PreviousSamples<S>,
+        extents: &SampleExtents<S>,
     ) -> (Vec3x8<S>, f32x8<S>, mask32x8<S>) {
         let scene = self.scene;
         let one = f32x8::splat(simd, 1.0);
-        let (entry, entered) = self.entry(simd, at, sampled, rays, lanes, front);
+        let (at, sampled) = (&found.sample, found.deformed);
+        let (entry, entered) = (extents.entry, extents.entered);
         let bits = lanes.to_bitmask();
         let color = self.unlit_color(simd, at, &entry, entered, bits);
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
@@ -313,7 +309,8 @@ impl PacketSampler<'_> {
     ) -> mask32x8<S> {
         let mut undecided = near_cut;
         for _ in 0..CUT_LOOKBACK_STEPS {
-            let back = self.sample_points_apart(simd, &(sampled - direction * way), &undecided);
+            let point = sampled - direction * way;
+            let back = self.sample_points_apart(simd, &point, &undecided, &(near_cut & !near_cut));
             near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
             undecided &= !back.present;
             if !undecided.any_true() {
@@ -344,77 +341,25 @@ impl PacketSampler<'_> {
             z: lit(color.z, even, diffuse, highlight, confidence),
         }
     }
-
-    /// Where rays enter material within their last step, by bisection, else the samples themselves;
-    /// and which rays do. See [`shading`].
-    #[inline(always)]
-    fn entry<S: Simd>(
-        &self,
-        simd: S,
-        at: &SamplePacket<S>,
-        sampled: Vec3x8<S>,
-        rays: ShadingRays<S>,
-        lanes: mask32x8<S>,
-        front: &PreviousSamples<S>,
-    ) -> (SurfaceEntries<S>, mask32x8<S>) {
-        let enough = at.depth * 0.5;
-        let mut first = SurfaceEntries {
-            deformed: sampled,
-            in_voxel: at.in_voxel,
-            value: at.value,
-            inside: at.inside,
-        };
-        let mut enters = lanes & front.sampled & !(front.present & front.depth.simd_ge(enough));
-        let unknown = lanes & !front.sampled;
-        if unknown.any_true() {
-            let before = self.sample_points_apart(simd, &front.point, &unknown);
-            enters |= unknown & !(before.present & before.depth.simd_ge(enough));
-        }
-        if enters.any_true() {
-            let mut width = rays.step;
-            for _ in 0..ENTRY_STEPS {
-                width *= 0.5;
-                let p = first.deformed - rays.direction * width;
-                let midway = self.sample_points(simd, p, enters, false);
-                let dense = enters & midway.present & midway.depth.simd_ge(enough);
-                first = SurfaceEntries {
-                    deformed: Vec3x8::select(dense, p, first.deformed),
-                    in_voxel: Vec3x8::select(dense, midway.in_voxel, first.in_voxel),
-                    value: dense.select(midway.value, first.value),
-                    inside: first.inside | (dense & midway.inside),
-                };
-            }
-        }
-        (first, enters)
-    }
 }
 
-/// Directions of eight rays, half vectors between the light and the eye, and distances between
-/// samples, mm.
-#[derive(Clone, Copy)]
-pub(super) struct ShadingRays<S: Simd> {
-    pub(super) direction: Vec3x8<S>,
-    pub(super) half: Vec3x8<S>,
-    pub(super) step: f32x8<S>,
-}
-
-/// The points one step in front of eight samples.
-pub(super) struct PreviousSamples<S: Simd> {
-    /// Their positions.
-    pub(super) point: Vec3x8<S>,
-    /// Which of them have been sampled.
-    pub(super) sampled: mask32x8<S>,
-    pub(super) present: mask32x8<S>,
-    pub(super) depth: f32x8<S>,
-}
-
-/// Where eight rays enter the material.
-#[derive(Clone, Copy)]
-struct SurfaceEntries<S: Simd> {
-    pub(super) deformed: Vec3x8<S>,
-    pub(super) in_voxel: Vec3x8<S>,
-    pub(super) value: f32x8<S>,
-    pub(super) inside: mask32x8<S>,
+/// A sample to be shaded by itself.
+pub(super) struct ScalarInput {
+    pub(super) at: SceneSample,
+    /// Its optical depth; 0 if it is invisible.
+    pub(super) depth: f32,
+    /// The value at its segment's front end, and whether it represents a pre-integrated segment.
+    pub(super) front: f32,
+    pub(super) segment: bool,
+    /// Its position in the deformed scene.
+    pub(super) deformed: Vec3,
+    /// Where it is shaded: the position in the deformed scene, the source position in voxels, and
+    /// the value.
+    pub(super) entry: (Vec3, Vec3, f32),
+    /// If the ray enters material there, whether it does through a cut.
+    pub(super) entered: Option<bool>,
+    /// Distance to the neighbouring samples, mm.
+    pub(super) spacing: f32,
 }
 
 /// The result of shading a sample next to a cut.
@@ -422,6 +367,6 @@ pub(super) enum ScalarSample {
     Nothing,
     /// A surface that hides everything behind it.
     Opaque(Vec3),
-    /// Its colour and optical depth per reference length.
+    /// Its colour, and a factor on its optical depth.
     Visible(Vec3, f32),
 }

@@ -1,5 +1,4 @@
-//! Lighting of one visible sample: normals under deformation and at cuts, and the fraction of the
-//! sample's length that lies in the material.
+//! Lighting of one visible sample: normals under deformation and at cuts.
 //!
 //! *Theory*: with J = d source / d deformed, a gradient of the deformed scene is Jᵀ times the
 //! source's (\[DDM06\] eq 6 and 10). Near a cut the normal is blended into the cut's own (\[DDM06\]
@@ -17,24 +16,14 @@
 //!   through it, the more so the finer the step.
 //! - The faces of the volume's own box are cuts too: material cut off at a scan's edge is lit as at
 //!   any other cut.
-//! - A sample next to a cut represents the part of its length that lies in the material: the
-//!   fraction 1/2 + d/ℓ, where ℓ is the step's extent along the cut's normal. The sum over a ray is
-//!   then the exact path through a planar cut, wherever the samples fall; cuts show no rings.
-//! - A sample just behind a surface is shaded where the ray entered it (where half the sample's
-//!   density is reached, found by bisection), not wherever the sample lies within the step.
-//!   Otherwise surfaces show the sampling as rings.
-//! - Where a cut is near and a sample is invisible, a layer thinner than a step between them is
-//!   searched for by bisection. Otherwise the thin end of an obliquely cut layer is hit or missed
-//!   alternately, and its edge looks like a comb.
-//! - Analytic cut shapes (`deform::cut`) are intersected exactly: the sample represents the
-//!   retained part of its step and needs no such fraction.
+//! - What a sample represents of its ray, and where the ray enters material, is found first
+//!   ([`super::edges`]); a sample just behind a surface is shaded where the ray enters it.
 //! - The transfer function defines the outside of a surface: where opacity falls. (Only one-sided
 //!   light needs this.)
 //! - In uniform regions the gradient is noise. Its weight fades with its magnitude, and samples
 //!   without a normal are lit evenly.
 //!
-//! `shaders/lib/shading.wgsl` computes the same. It evaluates the Jacobian at a sample again
-//! instead of retaining it, so that samples, entries and thin layers share one call.
+//! `shaders/lib/shading.wgsl` computes the same.
 
 use super::SceneSample;
 use crate::deform::{Jet, NearestCut};
@@ -48,7 +37,7 @@ use glam::{Mat3, Vec3};
 pub struct Shaded {
     /// Red, green, blue, not premultiplied.
     pub color: Vec3,
-    /// Fraction of the sample's length that lies in the material, times the gradient opacity.
+    /// The gradient opacity.
     pub depth_factor: f32,
 }
 
@@ -67,9 +56,6 @@ pub(super) const SURFACE_GRADIENT: [f32; 2] = [0.004, 0.04];
 /// Fraction of the diffuse light that a sample without a normal receives.
 pub(super) const ISOTROPIC_DIFFUSE: f32 = 0.6;
 
-/// Bisections of the step in which a ray enters the material.
-pub(super) const ENTRY_STEPS: u32 = 4;
-
 /// A visible sample before lighting.
 #[derive(Clone, Copy, Debug)]
 pub struct VisibleSample {
@@ -85,48 +71,23 @@ pub struct VisibleSample {
     pub value: f32,
 }
 
-/// The visible sample at a sampled point, if it shows anything.
-#[inline(always)]
-pub(super) fn visible_sample(scene: &Prepared, at: &SceneSample, deformed: Vec3) -> Option<VisibleSample> {
-    if !at.present {
-        return None;
-    }
-    let [r, g, b, depth] = scene.volume().table.lookup(at.value);
-    (depth > 0.0).then_some(VisibleSample {
-        deformed,
-        in_voxel: at.in_voxel,
-        color: Vec3::new(r, g, b),
-        depth,
-        value: at.value,
-    })
-}
-
-/// Shades a visible sample, seen along `direction` with samples every `step_mm`.
-pub fn shade(
+/// Shades a visible sample, seen along `direction`. `entered`: if the ray enters material there,
+/// whether it does through a cut (or the volume's face), as opposed to out of thinner material.
+pub(super) fn shade(
     scene: &Prepared,
     sampler: &VolumeSampler,
     sample: &VisibleSample,
+    entered: Option<bool>,
     direction: Vec3,
-    step_mm: f32,
 ) -> Shaded {
-    let jet_here = jet(scene, sample.deformed);
-    let cut = nearest_cut(scene, &jet_here, sample.in_voxel);
-    let share = path_fraction(scene, sampler, &cut, sample.deformed, direction, step_mm);
-    let mut shaded = match entry(scene, sampler, sample, direction, step_mm) {
-        Some(entry) => shade_entry(scene, sampler, &entry, direction),
-        None => {
-            let cut = cut_in_front(
-                scene,
-                sampler,
-                sample,
-                nearer_cut_shape(scene, cut, sample.deformed),
-                direction,
-            );
-            shade_point(scene, sampler, sample, &jet_here, &cut, direction)
-        }
+    let jet = jet(scene, sample.deformed);
+    let near = || nearer_cut_shape(scene, nearest_cut(scene, &jet, sample.in_voxel), sample.deformed);
+    let cut = match entered {
+        Some(false) => NearestCut::NONE,
+        Some(true) => near(),
+        None => cut_in_front(scene, sampler, sample, near(), direction),
     };
-    shaded.depth_factor *= share;
-    shaded
+    shade_point(scene, sampler, sample, &jet, &cut, direction)
 }
 
 /// How far back towards the face of a cut to sample the material that it cuts, as a fraction of the
@@ -169,18 +130,6 @@ fn cut_in_front(
         way *= 0.5;
     }
     cut
-}
-
-/// Shades the point at which a ray enters the material.
-fn shade_entry(scene: &Prepared, sampler: &VolumeSampler, entry: &SurfaceEntry, direction: Vec3) -> Shaded {
-    let first = &entry.first;
-    let jet = jet(scene, first.deformed);
-    let cut = if entry.through_cut {
-        nearer_cut_shape(scene, nearest_cut(scene, &jet, first.in_voxel), first.deformed)
-    } else {
-        NearestCut::NONE
-    };
-    shade_point(scene, sampler, first, &jet, &cut, direction)
 }
 
 /// The voxels' own colour, if the volume has colours and shows them.
@@ -235,61 +184,6 @@ fn shade_point(
     }
 }
 
-/// A layer thinner than a step between a cut and an invisible sample. It is found only if a cut
-/// lies between this sample and the previous one, exactly one of the two being present. Returns its
-/// optical depth per reference length, and its shading with its fraction of the step.
-///
-/// Without this the thin end of an obliquely cut layer is hit or missed alternately, and its edge
-/// looks like a comb.
-pub(super) fn thin_layer_at_cut(
-    scene: &Prepared,
-    sampler: &VolumeSampler,
-    deformed: Vec3,
-    present: bool,
-    direction: Vec3,
-    step_mm: f32,
-) -> Option<(f32, Shaded)> {
-    let before = deformed - direction * step_mm;
-    let at_before = super::sample_scene(scene, sampler, before);
-    if at_before.present == present || visible_sample(scene, &at_before, before).is_some() {
-        return None;
-    }
-    let visible_at = |p: Vec3| visible_sample(scene, &super::sample_scene(scene, sampler, p), p);
-    let end = if present { deformed } else { before };
-    let (mut inside, mut outside) = if present {
-        (deformed, before)
-    } else {
-        (before, deformed)
-    };
-    for _ in 0..ENTRY_STEPS {
-        let middle = (inside + outside) * 0.5;
-        if super::sample_scene(scene, sampler, middle).present {
-            inside = middle;
-        } else {
-            outside = middle;
-        }
-    }
-    let at_cut = visible_at(inside)?;
-    let (mut dense, mut thin) = (at_cut, end);
-    for _ in 0..ENTRY_STEPS {
-        let middle = (dense.deformed + thin) * 0.5;
-        match visible_at(middle) {
-            Some(sample) => dense = sample,
-            None => thin = middle,
-        }
-    }
-    let share = (dense.deformed - outside).length() / step_mm;
-    // Coming out of a cut, the ray sees the cut's face; going into one, it sees the surface on the
-    // layer's other side.
-    let entry = SurfaceEntry {
-        first: if present { at_cut } else { dense },
-        through_cut: present,
-    };
-    let mut shaded = shade_entry(scene, sampler, &entry, direction);
-    shaded.depth_factor *= share;
-    Some((at_cut.depth, shaded))
-}
-
 /// Source point, Jacobian, nearest cut and mask at a deformed point.
 pub(super) fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
     if scene.stack.is_empty() {
@@ -301,60 +195,6 @@ pub(super) fn jet(scene: &Prepared, deformed: Vec3) -> Jet {
         };
     }
     scene.stack.jet(deformed)
-}
-
-/// Where a ray entered the material of a sample.
-struct SurfaceEntry {
-    first: VisibleSample,
-    /// The point just before was not present (a cut, the volume's edge), as opposed to less dense
-    /// (a surface of the volume's own).
-    through_cut: bool,
-}
-
-/// If the previous sample is less than half as dense as this one, the ray has entered the material
-/// between the two; finds where, by bisection.
-fn entry(
-    scene: &Prepared,
-    sampler: &VolumeSampler,
-    sample: &VisibleSample,
-    direction: Vec3,
-    step_mm: f32,
-) -> Option<SurfaceEntry> {
-    // The sample at a point if it is dense enough, else whether the point is present at all.
-    let dense = |deformed: Vec3| {
-        let at = super::sample_scene(scene, sampler, deformed);
-        if !at.present {
-            return Err(false);
-        }
-        let (in_voxel, value) = (at.in_voxel, at.value);
-        let [r, g, b, depth] = scene.volume().table.lookup(value);
-        if depth >= 0.5 * sample.depth {
-            Ok(VisibleSample {
-                deformed,
-                in_voxel,
-                color: Vec3::new(r, g, b),
-                depth,
-                value,
-            })
-        } else {
-            Err(true)
-        }
-    };
-    let mut through_cut = !dense(sample.deformed - direction * step_mm).err()?;
-    let mut first = *sample;
-    let mut width = step_mm;
-    for _ in 0..ENTRY_STEPS {
-        width *= 0.5;
-        match dense(first.deformed - direction * width) {
-            Ok(nearer) => first = nearer,
-            Err(thin) => through_cut = !thin,
-        }
-    }
-    if scene.preintegrated() {
-        // The colour is that of the whole segment.
-        first.color = sample.color;
-    }
-    Some(SurfaceEntry { first, through_cut })
 }
 
 /// Transforms a covector per voxel (a gradient along i, j, k) to one per millimetre of the source.
@@ -503,32 +343,6 @@ pub(super) fn iso_surface(
     }
     let normal = shaded_normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
     light(scene, normal, direction, color)
-}
-
-/// Fraction of a sample's length that lies in the material.
-///
-/// Next to a cut, the neighbouring sample on the cut's other side decides whether this one
-/// represents the rest of the path: it does if the neighbour is cut away. (The distance alone would
-/// count half a sample too much or too little wherever a sample lies exactly on the cut.)
-fn path_fraction(
-    scene: &Prepared,
-    sampler: &VolumeSampler,
-    cut: &NearestCut,
-    deformed: Vec3,
-    direction: Vec3,
-    step_mm: f32,
-) -> f32 {
-    let facing = cut.normal.dot(direction);
-    let across = step_mm * facing.abs();
-    if cut.distance_mm >= 1.1 * across {
-        return 1.0;
-    }
-    let beyond = deformed + direction * if facing < 0.0 { -step_mm } else { step_mm };
-    if super::sample_scene(scene, sampler, beyond).present {
-        1.0
-    } else {
-        0.5 + (cut.distance_mm / across).clamp(0.0, 1.0)
-    }
 }
 
 /// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points

@@ -20,10 +20,10 @@
 //!
 //! `shaders/slice.wgsl` contains what one fragment does; the rasteriser is the GPU's own.
 
-use super::found::{FetchPolicy, FoundSamples};
+use super::edges::{FoundSamples, Neighbours, NewSamples, ShadingRays};
+use super::found::FetchPolicy;
 use super::outline::{Edge, Outline};
-use super::packet::PacketSampler;
-use super::packet_shading::{PreviousSamples, ShadingRays};
+use super::packet::{PacketSampler, SamplePacket};
 use super::{IntensityProjection, MIN_TRANSMITTANCE, Positions, Strip, surface};
 use crate::math::Bounds;
 use crate::math::lanes::*;
@@ -403,8 +403,8 @@ impl Slicer<'_> {
         !ends || tile.packets.iter().any(PixelPacket::is_open)
     }
 
-    /// Samples a slice at eight pixels; none if no sample has anything to shade. Values of
-    /// projections are added at once.
+    /// Samples a slice at eight pixels: thin layers in front of the slice, and its samples; none if
+    /// neither have anything to shade. Values of projections are added at once.
     #[inline(always)]
     fn fragment_sample<S: Simd>(
         &self,
@@ -414,7 +414,7 @@ impl Slicer<'_> {
         depth_mm: f32,
         stats: &mut RenderStats,
         fetch_policy: &mut FetchPolicy,
-    ) -> Option<FoundSamples<S>> {
+    ) -> Option<[FoundSamples<S>; 2]> {
         let scene = self.sampler.scene;
         let rays = pixels.rays;
         let lanes = covered & pixels.until.simd_gt(depth_mm);
@@ -424,44 +424,86 @@ impl Slicer<'_> {
         }
         let (empty, cut_free) = scene.volume().macrocells.states_lanes(simd, p);
         stats.samples_skipped += u64::from((lanes & empty).to_bitmask().count_ones());
-        let mut lanes = lanes & !empty;
+        let lanes = lanes & !empty;
         if lanes.all_false() {
             return None;
         }
         stats.samples_taken += u64::from(lanes.to_bitmask().count_ones());
-        let (mut share, mut near_cut) = (f32x8::splat(simd, 1.0), lanes & !lanes);
+        let none = lanes & !lanes;
+        let (mut removed, mut near_cut) = (none, none);
         if !scene.cuts.is_empty() {
-            (lanes, share, near_cut) = self.retain(simd, lanes, &rays, &mut p);
-            if lanes.all_false() {
-                return None;
-            }
+            (removed, near_cut) = self.cut_by_shapes(lanes, p);
         }
+        let left = lanes & !removed;
         let with_gradients = self.sampler.sampler.has_gradients() && fetch_policy.fetches_gradients();
-        fetch_policy.lookups += 1;
-        let mut sample = self.sampler.sample_points(simd, p, lanes, with_gradients);
+        let mut sample = if left.any_true() {
+            fetch_policy.lookups += 1;
+            self.sampler.sample_points(simd, p, left, with_gradients)
+        } else {
+            SamplePacket::absent(simd, p, with_gradients)
+        };
+        sample.alpha = removed.select(f32x8::splat(simd, 0.0), sample.alpha);
         sample.cut_free = cut_free;
         if !self.sampler.composite {
             pixels.projection.insert(sample.value, sample.present);
             return None;
         }
-        // No sample of another slice is known here.
-        let unknown = lanes & !lanes;
-        let previous = PreviousSamples {
-            point: p - rays.direction * rays.step,
-            sampled: unknown,
-            present: unknown,
-            depth: f32x8::splat(simd, 0.0),
-        };
-        let value = sample.value;
-        self.sampler
-            .look_up_segments(simd, &mut sample, lanes, &previous, value);
+        let hidden = !pixels.until.simd_gt(depth_mm + scene.frame.spacing.step_mm);
+        self.with_neighbours(simd, (lanes, hidden), &rays, sample, p, near_cut)
+    }
+
+    /// The samples that have something to shade, with the points one step in front of them and
+    /// behind them, since no sample of another slice is known here; and thin layers in front of
+    /// them.
+    #[inline(always)]
+    fn with_neighbours<S: Simd>(
+        &self,
+        simd: S,
+        (lanes, hidden): (mask32x8<S>, mask32x8<S>),
+        rays: &ShadingRays<S>,
+        mut sample: SamplePacket<S>,
+        p: Vec3x8<S>,
+        near_cut: mask32x8<S>,
+    ) -> Option<[FoundSamples<S>; 2]> {
+        let in_front = p - rays.direction * rays.step;
+        let own_depth = sample.depth;
+        let (mut previous, mut previous_alpha) = (Neighbours::invisible(simd), sample.alpha);
+        if self.sampler.preintegrated.is_some() {
+            (previous, previous_alpha) = self.sampler.neighbours(simd, in_front, lanes, near_cut);
+            self.sampler
+                .look_up_segments(simd, &mut sample, lanes, near_cut, &mut previous, in_front);
+        }
         let hit = self.sampler.to_be_shaded(&sample, lanes, near_cut);
-        if hit.all_false() {
+        let near_edge = lanes & self.sampler.near_edge(&sample, near_cut);
+        let wanted = hit | near_edge;
+        if wanted.all_false() {
             return None;
         }
-        let mut found = FoundSamples::nothing(simd, p, with_gradients);
-        found.insert(hit, &sample, p, share, near_cut, &previous);
-        Some(found)
+        if self.sampler.preintegrated.is_none() {
+            (previous, previous_alpha) = self.sampler.neighbours(simd, in_front, wanted, near_cut);
+        }
+        let mut new = NewSamples {
+            sample: &sample,
+            deformed: p,
+            near_cut,
+            previous,
+            next: Neighbours::invisible(simd),
+        };
+        let mut layers = FoundSamples::nothing(simd, p, rays.step, sample.with_gradients);
+        let layered = near_edge
+            & self
+                .sampler
+                .may_hide_a_layer(&sample, own_depth, &previous, previous_alpha);
+        layers.insert_layers(layered, &new);
+        let mut found = FoundSamples::nothing(simd, p, rays.step, sample.with_gradients);
+        let followed = hit & !hidden & self.sampler.sees_behind(&sample, rays.step);
+        if followed.any_true() {
+            let behind = p + rays.direction * rays.step;
+            new.next = self.sampler.neighbours(simd, behind, followed, near_cut).0;
+        }
+        found.insert(hit, &new);
+        found.hidden = hit & !followed;
+        Some([layers, found])
     }
 
     /// The fragments of a slab: its slices composited front to back; of the pixels that it covers,
@@ -476,7 +518,6 @@ impl Slicer<'_> {
         stats: &mut RenderStats,
         fetch_policy: &mut FetchPolicy,
     ) -> SlabFragments<S> {
-        let zero = f32x8::splat(simd, 0.0);
         let mut layer = SlabFragments {
             color: Vec3x8::splat(simd, Vec3::ZERO),
             transmittance: f32x8::splat(simd, 1.0),
@@ -499,15 +540,32 @@ impl Slicer<'_> {
             else {
                 continue;
             };
-            let shaded = self.sampler.shade_found(simd, &pixels.rays, &found, fetch_policy);
-            let pass = shaded.transmittance(simd, pixels.length);
-            let visible = shaded.visible;
-            let weight = visible.select(layer.transmittance * (f32x8::splat(simd, 1.0) - pass), zero);
-            layer.color = layer.color + Vec3x8::select(visible, shaded.color, layer.color) * weight;
-            layer.transmittance = visible.select(layer.transmittance * pass, layer.transmittance);
-            layer.any |= visible;
+            for mut found in found {
+                if found.lanes.any_true() {
+                    self.add_found(simd, pixels, &mut found, &mut layer, fetch_policy);
+                }
+            }
         }
         layer
+    }
+
+    /// Adds the samples found at a slice behind those of the slices in front of it.
+    #[inline(always)]
+    fn add_found<S: Simd>(
+        &self,
+        simd: S,
+        pixels: &PixelPacket<S>,
+        found: &mut FoundSamples<S>,
+        layer: &mut SlabFragments<S>,
+        fetch_policy: &mut FetchPolicy,
+    ) {
+        let shaded = self.sampler.shade_found(simd, &pixels.rays, found, fetch_policy);
+        let pass = shaded.transmittance(simd, pixels.length);
+        let (visible, one) = (shaded.visible, f32x8::splat(simd, 1.0));
+        let weight = visible.select(layer.transmittance * (one - pass), f32x8::splat(simd, 0.0));
+        layer.color = layer.color + Vec3x8::select(visible, shaded.color, layer.color) * weight;
+        layer.transmittance = visible.select(layer.transmittance * pass, layer.transmittance);
+        layer.any |= visible;
     }
 
     /// Adds what a slice shows of surfaces: opaque, and in front of its sample of the volume.
@@ -541,34 +599,17 @@ impl Slicer<'_> {
         }
     }
 
-    /// What the cut shapes leave of the paths of eight pixels: which have anything left, the
-    /// fraction of their path, and which are near a shape. The samples move to the middle of the
-    /// retained part.
+    /// Which of eight samples the cut shapes remove, and which are near a shape.
     #[inline(always)]
-    fn retain<S: Simd>(
-        &self,
-        simd: S,
-        lanes: mask32x8<S>,
-        rays: &ShadingRays<S>,
-        p: &mut Vec3x8<S>,
-    ) -> (mask32x8<S>, f32x8<S>, mask32x8<S>) {
-        let cuts = &self.sampler.scene.cuts;
-        let mut share = f32x8::splat(simd, 1.0);
-        let mut near_cut = lanes & !lanes;
+    fn cut_by_shapes<S: Simd>(&self, lanes: mask32x8<S>, p: Vec3x8<S>) -> (mask32x8<S>, mask32x8<S>) {
+        let mut removed = lanes & !lanes;
+        let mut near_cut = removed;
         for n in lanes_of(lanes.to_bitmask()) {
-            let (at, direction, step) = (p.lane(n), rays.direction.lane(n), rays.step[n]);
-            let distance_mm = cuts.signed_distance_mm(at);
-            if distance_mm.abs() <= 0.5 * step {
-                let retained = cuts.retained_part(at, direction, 0.0, step);
-                share[n] = retained.share;
-                p.set(n, at + direction * retained.at);
-            } else if distance_mm < 0.0 {
-                share[n] = 0.0;
-            }
-            near_cut.set(n, distance_mm <= self.sampler.margin_mm);
+            let distance_mm = self.sampler.scene.cuts.signed_distance_mm(p.lane(n));
+            removed.set(n, distance_mm < 0.0);
+            near_cut.set(n, distance_mm.abs() <= self.sampler.margin_mm);
         }
-        let left = lanes & share.simd_gt(0.0);
-        (left, share, left & near_cut)
+        (removed, near_cut)
     }
 }
 

@@ -2,9 +2,8 @@
 //! cones, in groups.
 //!
 //! A removal that no later deformation moves is evaluated as a formula at every sample instead of
-//! being sampled into a map. A ray is straight there, hence its intersections with the removed
-//! region are found exactly: the retained part of each step is an interval, and the step counts
-//! with its length. Masks, which earlier deformations need, are only as sharp as their texels.
+//! being sampled into a map. Masks, which earlier deformations need, are only as sharp as their
+//! texels.
 //!
 //! Every shape has a signed distance of Lipschitz constant 1 (positive where the volume is
 //! retained), exact for all but the ellipsoid. Combinations by minimum and maximum preserve this
@@ -102,18 +101,6 @@ pub struct CutShapes {
     primitives: Vec<CutShape>,
 }
 
-/// The retained part of a step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RetainedPart {
-    /// Position of its sample, mm along the ray.
-    pub at: f32,
-    /// Its length as a fraction of the step; 0 if nothing is retained.
-    pub share: f32,
-}
-
-/// Steps of regula falsi: a plane needs one, a curved surface within a step of the ray a few more.
-const ROOT_STEPS: u32 = 4;
-
 impl CutShapes {
     /// Combines shapes; those of a group are consecutive.
     pub fn new(mut primitives: Vec<CutShape>) -> Self {
@@ -167,74 +154,6 @@ impl CutShapes {
         let (middle, radius) = (self.signed_distance_mm(b.center()), b.size().length() / 2.0);
         [middle - radius, middle + radius]
     }
-
-    /// The retained part of the step [t - step/2, t + step/2] of a ray. A plane is intersected
-    /// exactly, up to rounding.
-    #[inline(always)]
-    pub fn retained_part(&self, origin: Vec3, direction: Vec3, t: f32, step: f32) -> RetainedPart {
-        let half = 0.5 * step;
-        let f = |t: f32| self.signed_distance_mm(origin + direction * t);
-        let middle = f(t);
-        if middle.abs() > half {
-            return RetainedPart {
-                at: t,
-                share: if middle > 0.0 { 1.0 } else { 0.0 },
-            };
-        }
-        let (low, high) = (f(t - half), f(t + half));
-        let (a, b) = match (low >= 0.0, middle >= 0.0, high >= 0.0) {
-            (true, true, true) => (t - half, t + half),
-            (true, true, false) => (t - half, root(&f, t, middle, t + half, high)),
-            (false, true, true) => (root(&f, t, middle, t - half, low), t + half),
-            (false, true, false) => (
-                root(&f, t, middle, t - half, low),
-                root(&f, t, middle, t + half, high),
-            ),
-            // If both ends are retained, the nearer one is sampled; the fraction counts both.
-            (true, false, true) => {
-                let (a, b) = (
-                    root(&f, t - half, low, t, middle),
-                    root(&f, t + half, high, t, middle),
-                );
-                return RetainedPart {
-                    at: 0.5 * (t - half + a),
-                    share: (a - t + half + t + half - b) / step,
-                };
-            }
-            (true, false, false) => (t - half, root(&f, t - half, low, t, middle)),
-            (false, false, true) => (root(&f, t + half, high, t, middle), t + half),
-            (false, false, false) => return RetainedPart { at: t, share: 0.0 },
-        };
-        RetainedPart {
-            at: 0.5 * (a + b),
-            share: (b - a) / step,
-        }
-    }
-}
-
-/// The sign change of a function between `outside` (where it is not negative) and `cut` (where it
-/// is), by regula falsi, which finds a plane in one step.
-#[inline(always)]
-fn root(
-    f: &impl Fn(f32) -> f32,
-    mut outside: f32,
-    mut outside_value: f32,
-    mut cut: f32,
-    mut at_cut: f32,
-) -> f32 {
-    for _ in 0..ROOT_STEPS {
-        let t = outside + (cut - outside) * (outside_value / (outside_value - at_cut)).clamp(0.0, 1.0);
-        let v = f(t);
-        if v.abs() < 1e-4 {
-            return t;
-        }
-        if v >= 0.0 {
-            (outside, outside_value) = (t, v);
-        } else {
-            (cut, at_cut) = (t, v);
-        }
-    }
-    outside + (cut - outside) * (outside_value / (outside_value - at_cut)).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -267,49 +186,12 @@ mod tests {
     ];
 
     proptest! {
-        /// The retained lengths of a ray's steps sum to the result of a very fine march, however
-        /// the shapes are combined.
-        #[test]
-        fn kept_parts_sum_to_the_path(a in 0usize..6, b in 0usize..6, intersects: bool, inverted: bool, joins_previous: bool,
-                                      from in prop::array::uniform3(-60.0f32..60.0), to in prop::array::uniform3(-60.0f32..60.0)) {
-            let (from, to) = (Vec3::from(from), Vec3::from(to));
-            prop_assume!(from.distance(to) > 5.0);
-            let other = CutShape { local_from_world: Affine3A::from_rotation_y(0.5), intersects, inverted, joins_previous, ..shape(SHAPES[b]) };
-            let cuts = CutShapes::new(vec![shape(SHAPES[a]), other]);
-            let (length, direction) = (from.distance(to), (to - from).normalize());
-            let steps = length.ceil();
-            let step = length / steps;
-            let sum: f32 = (0..steps as usize).map(|i| cuts.retained_part(from, direction, (i as f32 + 0.5) * step, step).share * step).sum();
-            let fine = 4000;
-            let count = (0..fine).filter(|i| cuts.signed_distance_mm(from + direction * length * ((*i as f32 + 0.5) / fine as f32)) >= 0.0).count();
-            let want = length * count as f32 / fine as f32;
-            // A sliver thinner than half a step may be missed where two shapes meet.
-            prop_assert!((sum - want).abs() < 0.6 * step + 0.01 * length, "{} for {}", sum, want);
-        }
-
         /// The distance never changes faster than the point moves.
         #[test]
         fn distances_have_the_bound(n in 0usize..6, p in prop::array::uniform3(-50.0f32..50.0), d in prop::array::uniform3(-3.0f32..3.0)) {
             let s = shape(SHAPES[n]);
             let (p, d) = (Vec3::from(p), Vec3::from(d));
             prop_assert!((s.signed_distance_mm(p + d) - s.signed_distance_mm(p)).abs() <= d.length() * 1.001 + 1e-4);
-        }
-    }
-
-    #[test]
-    fn planes_are_exact_along_the_ray() {
-        let cuts = CutShapes::new(vec![CutShape {
-            local_from_world: Affine3A::IDENTITY,
-            half: Vec3::ZERO,
-            ..shape(CutShapeKind::HalfSpace)
-        }]);
-        let direction = Vec3::new(0.6, 0.0, 0.8);
-        for offset in [0.0, 0.1, 0.37, 0.5, 0.93] {
-            let origin = Vec3::new(0.0, 0.0, -8.0 - offset);
-            let path: f32 = (0..30)
-                .map(|i| cuts.retained_part(origin, direction, i as f32 + 0.5, 1.0).share)
-                .sum();
-            assert!((path - (8.0 + offset) / 0.8).abs() < 1e-3, "{path} at {offset}");
         }
     }
 

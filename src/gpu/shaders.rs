@@ -65,6 +65,7 @@ const NOISE: &str = piece!("lib/noise.wgsl");
 const NODE: &str = piece!("types/bounds.wgsl");
 const MARCH: &str = piece!("lib/march.wgsl");
 const SLICE_POLYGON: &str = piece!("lib/slice_polygon.wgsl");
+const EDGES: &str = piece!("lib/edges.wgsl");
 const FOUND: &str = piece!("lib/found.wgsl");
 const COMPOSITE: &str = piece!("lib/composite.wgsl");
 
@@ -109,6 +110,7 @@ impl Program {
         let own: &[&str] = match self {
             Self::Raycast => &[
                 MARCH,
+                EDGES,
                 FOUND,
                 COMPOSITE,
                 piece!("lib/projection.wgsl"),
@@ -118,6 +120,7 @@ impl Program {
             ],
             Self::RaycastCompute => &[
                 MARCH,
+                EDGES,
                 FOUND,
                 COMPOSITE,
                 piece!("lib/projection.wgsl"),
@@ -125,7 +128,7 @@ impl Program {
                 count,
                 piece!("raycast_compute.wgsl"),
             ],
-            Self::Slice => &[MARCH, FOUND, SLICE_POLYGON, count, piece!("slice.wgsl")],
+            Self::Slice => &[MARCH, EDGES, FOUND, SLICE_POLYGON, count, piece!("slice.wgsl")],
             Self::Resolve => &[piece!("lib/projection.wgsl"), piece!("resolve.wgsl")],
             Self::Opaque => &[piece!("opaque.wgsl")],
             Self::SurfacesBehind => &[piece!("surfaces_behind.wgsl")],
@@ -139,7 +142,14 @@ impl Program {
             Self::Encode => &[piece!("encode.wgsl")],
             Self::Bounds => &[NODE, piece!("bounds.wgsl")],
             Self::Classify => &[NODE, piece!("classify.wgsl")],
-            Self::SliceSurface => &[MARCH, FOUND, SLICE_POLYGON, count, piece!("slice_surface.wgsl")],
+            Self::SliceSurface => &[
+                MARCH,
+                EDGES,
+                FOUND,
+                SLICE_POLYGON,
+                count,
+                piece!("slice_surface.wgsl"),
+            ],
             Self::Surface => &[MARCH, count, piece!("surface.wgsl")],
             Self::Mesh => &[MARCH, piece!("lib/deformer.wgsl"), piece!("mesh.wgsl")],
             Self::Gather => &[MARCH, piece!("gather.wgsl")],

@@ -16,6 +16,9 @@ use crate::volume::{GradientFilter, GradientVolume};
 use glam::Vec3;
 use std::sync::Arc;
 
+/// Share of the greatest optical depth below which a sample is thin.
+const THIN_SHARE: f32 = 0.125;
+
 /// The constants of one picture.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -94,6 +97,12 @@ impl<'a> Prepared<'a> {
     /// Whether colour and opacity are those of segments between samples.
     pub fn preintegrated(&self) -> bool {
         self.settings.preintegrated && self.volume().blend == Blend::Composite && self.volume().iso.is_none()
+    }
+
+    /// A small part of the greatest optical depth that the volume shows anywhere: between samples
+    /// that are thinner than this, at a cut, there may be a much denser layer.
+    pub fn thin_depth(&self) -> f32 {
+        THIN_SHARE * self.volume().table.max_depth(0.0, 1.0)
     }
 
     /// Whether the gradient is needed before the opacity.

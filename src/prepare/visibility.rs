@@ -18,7 +18,7 @@ pub struct VisibilityCriteria<'a> {
     pub grey_faces: bool,
     /// How far back along the ray every sample reads, mm.
     pub lookback_mm: f32,
-    /// How far back a sample near a cut reads.
+    /// How far back a sample near a cut or a face of the volume reads.
     pub cut_lookback_mm: f32,
     /// Distance within which a shape affects a sample, mm.
     pub cut_margin_mm: f32,
@@ -103,12 +103,7 @@ pub enum BoxVisibility {
 impl VisibilityCriteria<'_> {
     /// How far outside a box the content shown by its samples may lie, mm.
     pub fn reach_mm(&self) -> f32 {
-        let cuts = self.stack.has_cuts() || !self.cuts.is_empty();
-        if cuts {
-            self.cut_lookback_mm.max(self.lookback_mm)
-        } else {
-            self.lookback_mm
-        }
+        self.cut_lookback_mm.max(self.lookback_mm)
     }
 
     /// The visibility of a box of the deformed scene, including what its samples read further back.
@@ -139,7 +134,8 @@ impl VisibilityCriteria<'_> {
             || (!self.cuts.is_empty() && self.cuts.bounds(&reached)[0] < self.cut_margin_mm)
     }
 
-    /// The visibility of a box of the deformed scene itself, and whether a mask varies there.
+    /// The visibility of a box of the deformed scene itself, and whether a mask varies or a face of
+    /// the volume lies there.
     fn box_visibility(&self, deformed: &Bounds) -> (BoxVisibility, bool) {
         let [min_distance, max_distance] = self.cuts.bounds(deformed);
         if max_distance < 0.0 {
@@ -152,7 +148,7 @@ impl VisibilityCriteria<'_> {
                     self.source_visibility(source, min_distance >= 0.0 && min_alpha >= 0.5, max_alpha);
                 nothing &= visibility == BoxVisibility::Invisible;
                 throughout &= visibility == BoxVisibility::VisibleEverywhere;
-                is_near_cut |= min_alpha < 1.0;
+                is_near_cut |= min_alpha < 1.0 || !self.voxel_box.contains(&self.in_voxel(source));
             });
         let visibility = match (nothing, throughout) {
             (true, _) => BoxVisibility::Invisible,
@@ -162,12 +158,17 @@ impl VisibilityCriteria<'_> {
         (visibility, is_near_cut)
     }
 
+    /// A box of the source in voxels, a little larger.
+    fn in_voxel(&self, source: &Bounds) -> Bounds {
+        source.transformed(self.voxel_from_world).grown(0.01)
+    }
+
     /// The visibility of a box of the source; `whole` if nothing of it is cut away.
     fn source_visibility(&self, source: &Bounds, whole: bool, max_alpha: f32) -> BoxVisibility {
         if max_alpha < 0.5 {
             return BoxVisibility::Invisible;
         }
-        let in_voxel = source.transformed(self.voxel_from_world).grown(0.01);
+        let in_voxel = self.in_voxel(source);
         let inside = in_voxel.intersection(&self.voxel_box);
         if inside.is_empty() {
             return BoxVisibility::Invisible;

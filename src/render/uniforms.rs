@@ -64,7 +64,7 @@ pub struct FrameUniform {
     pub face: [f32; 3],
     pub stored_offset: f32,
     pub per_texture_size: [f32; 3],
-    pub padding: f32,
+    pub thin_depth: f32,
     pub sample_offset: [f32; 2],
     pub more_padding: [f32; 2],
 }
@@ -186,7 +186,7 @@ impl FrameUniform {
             face: scene.deformed_face_margin_voxels().into(),
             stored_offset: scene.volume().grid.offset,
             per_texture_size: texture_size.map(f32::recip),
-            padding: 0.0,
+            thin_depth: scene.thin_depth(),
             sample_offset: [0.0; 2],
             more_padding: [0.0; 2],
         }

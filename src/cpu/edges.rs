@@ -1,0 +1,548 @@
+//! The length of ray that a sample represents, where rays enter material, and layers thinner than a
+//! step.
+//!
+//! *Theory*: a sample represents the part of the ray that is nearer to it in density than to its
+//! neighbours. Between two samples of similar density the border is half-way. Where one of them is
+//! less than half as dense as the other (at a surface, at a cut, at the volume's own faces), the
+//! border is where the density crosses their mean, found by bisection. The sum over a ray is then
+//! the trapezoidal rule where the density changes slowly, and the exact path where it jumps,
+//! wherever the samples fall. Without this, edges show the sampling as rings, combs and stairs.
+//!
+//! A sample in front of which the density falls below half is shaded where the ray enters the
+//! material, not wherever the sample lies within the step.
+//!
+//! Two thin samples may have a dense layer between them that is thinner than a step: the end of
+//! material that is cut obliquely, or that ends at the volume's face. Where a cut or a face passes
+//! between the two, [`THIN_LAYER_SAMPLES`] samples search for it.
+//!
+//! Samples of pre-integrated segments represent the segment in front of them; of these only what is
+//! cut away counts.
+//!
+//! `shaders/lib/edges.wgsl` computes the same, by one loop around one sample: every sample that a
+//! shader takes at another place in its text is compiled once more.
+
+use super::packet::{PacketSampler, SamplePacket};
+use crate::math::lanes::*;
+
+/// Bisections of the step in which the density crosses a mean.
+pub(super) const EDGE_STEPS: u32 = 4;
+/// Samples that search a step for a layer thinner than it.
+pub(super) const THIN_LAYER_SAMPLES: usize = LANES;
+/// Optical depth of half a step from which on nothing behind it can be seen: 1/512 passes.
+pub(super) const OPAQUE_DEPTH: f32 = 9.0;
+
+/// The samples one step in front of eight samples, or behind them.
+#[derive(Clone, Copy)]
+pub(super) struct Neighbours<S: Simd> {
+    /// Optical depths; 0 where nothing is visible.
+    pub(super) depth: f32x8<S>,
+    pub(super) value: f32x8<S>,
+    pub(super) present: mask32x8<S>,
+    /// Which have been sampled; the others lie where nothing is visible.
+    pub(super) sampled: mask32x8<S>,
+}
+
+impl<S: Simd> Neighbours<S> {
+    /// Neighbours that lie where nothing is visible.
+    #[inline(always)]
+    pub(super) fn invisible(simd: S) -> Self {
+        let zero = f32x8::splat(simd, 0.0);
+        let none = zero.simd_lt(zero);
+        Self {
+            depth: zero,
+            value: zero,
+            present: none,
+            sampled: none,
+        }
+    }
+
+    /// Takes some lanes from others.
+    #[inline(always)]
+    pub(super) fn insert(&mut self, lanes: mask32x8<S>, new: &Self) {
+        self.depth = lanes.select(new.depth, self.depth);
+        self.value = lanes.select(new.value, self.value);
+        self.present = (lanes & new.present) | (self.present & !lanes);
+        self.sampled = (lanes & new.sampled) | (self.sampled & !lanes);
+    }
+}
+
+/// Directions of eight rays, half vectors between the light and the eye, and distances between
+/// samples, mm.
+#[derive(Clone, Copy)]
+pub(super) struct ShadingRays<S: Simd> {
+    pub(super) direction: Vec3x8<S>,
+    pub(super) half: Vec3x8<S>,
+    pub(super) step: f32x8<S>,
+}
+
+/// Samples that have something to shade.
+#[derive(Clone, Copy)]
+pub(super) struct FoundSamples<S: Simd> {
+    /// Rays that have found one.
+    pub(super) lanes: mask32x8<S>,
+    pub(super) sample: SamplePacket<S>,
+    /// Their positions in the deformed scene.
+    pub(super) deformed: Vec3x8<S>,
+    /// Which are near a cut shape.
+    pub(super) near_cut: mask32x8<S>,
+    pub(super) previous: Neighbours<S>,
+    pub(super) next: Neighbours<S>,
+    /// Which have something opaque between them and the next sample.
+    pub(super) hidden: mask32x8<S>,
+    /// Which stand for a thin layer in front of them, if there is one.
+    pub(super) thin: mask32x8<S>,
+    /// Distances to the neighbours, mm.
+    pub(super) spacing: f32x8<S>,
+    /// Thicknesses of thin layers from the sample on, mm, and the densities around them.
+    pub(super) layer: f32x8<S>,
+    pub(super) floor: f32x8<S>,
+}
+
+/// A sample that has something to shade, with its neighbours.
+pub(super) struct NewSamples<'a, S: Simd> {
+    pub(super) sample: &'a SamplePacket<S>,
+    pub(super) deformed: Vec3x8<S>,
+    pub(super) near_cut: mask32x8<S>,
+    pub(super) previous: Neighbours<S>,
+    pub(super) next: Neighbours<S>,
+}
+
+impl<S: Simd> FoundSamples<S> {
+    /// No sample yet; `anywhere` fills the lanes that have none.
+    #[inline(always)]
+    pub(super) fn nothing(simd: S, anywhere: Vec3x8<S>, spacing: f32x8<S>, with_gradients: bool) -> Self {
+        let zero = f32x8::splat(simd, 0.0);
+        let none = zero.simd_lt(zero);
+        Self {
+            lanes: none,
+            sample: SamplePacket::absent(simd, anywhere, with_gradients),
+            deformed: anywhere,
+            near_cut: none,
+            previous: Neighbours::invisible(simd),
+            next: Neighbours::invisible(simd),
+            hidden: none,
+            thin: none,
+            spacing,
+            layer: zero,
+            floor: zero,
+        }
+    }
+
+    /// Stores the samples of some lanes.
+    #[inline(always)]
+    pub(super) fn insert(&mut self, hit: mask32x8<S>, new: &NewSamples<S>) {
+        self.sample.insert(hit, new.sample);
+        self.deformed = Vec3x8::select(hit, new.deformed, self.deformed);
+        self.near_cut = (hit & new.near_cut) | (self.near_cut & !hit);
+        self.previous.insert(hit, &new.previous);
+        self.next.insert(hit, &new.next);
+        self.lanes |= hit;
+    }
+
+    /// Stores samples that may have a thin layer in front of them.
+    #[inline(always)]
+    pub(super) fn insert_layers(&mut self, thin: mask32x8<S>, new: &NewSamples<S>) {
+        if thin.any_true() {
+            self.insert(thin, new);
+            self.thin |= thin;
+        }
+    }
+}
+
+/// Where eight rays enter the material, else the samples themselves.
+#[derive(Clone, Copy)]
+pub(super) struct SurfaceEntries<S: Simd> {
+    pub(super) deformed: Vec3x8<S>,
+    pub(super) in_voxel: Vec3x8<S>,
+    pub(super) value: f32x8<S>,
+    pub(super) inside: mask32x8<S>,
+}
+
+/// What eight samples represent, and where they are shaded.
+pub(super) struct SampleExtents<S: Simd> {
+    /// Lengths as fractions of a step.
+    pub(super) share: f32x8<S>,
+    pub(super) entry: SurfaceEntries<S>,
+    /// Which rays enter material in front of their sample.
+    pub(super) entered: mask32x8<S>,
+    /// Which of them come out of a cut or into the volume, as opposed to out of thinner material.
+    pub(super) through_cut: mask32x8<S>,
+}
+
+/// A stretch of eight rays at whose ends the density lies on different sides of a threshold.
+struct Bracket<S: Simd> {
+    /// The near ends.
+    start: SurfaceEntries<S>,
+    /// Unit directions to the far ends.
+    direction: Vec3x8<S>,
+    /// Lengths, mm.
+    width: f32x8<S>,
+    /// The thresholds.
+    enough: f32x8<S>,
+    /// Which are denser at the near end.
+    dense_here: mask32x8<S>,
+    /// Which are wanted.
+    lanes: mask32x8<S>,
+    /// Which may cross a cut shape.
+    near_shape: mask32x8<S>,
+}
+
+/// Where a density crosses a threshold.
+struct Crossing<S: Simd> {
+    /// Distances from the near ends, mm.
+    distance: f32x8<S>,
+    /// The last points found on the near side.
+    last: SurfaceEntries<S>,
+    /// Which of the first points found on the far side are present, and which were found.
+    far_present: mask32x8<S>,
+    far_found: mask32x8<S>,
+}
+
+/// Which densities are more than twice as high as others, and which less than half as high.
+#[inline(always)]
+fn differs<S: Simd>(depth: f32x8<S>, other: f32x8<S>) -> (mask32x8<S>, mask32x8<S>) {
+    (other.simd_lt(depth * 0.5), depth.simd_lt(other * 0.5))
+}
+
+/// Where a mask cuts away, but not wholly.
+#[inline(always)]
+fn within_mask<S: Simd>(alpha: f32x8<S>) -> mask32x8<S> {
+    alpha.simd_gt(0.0) & alpha.simd_lt(0.5)
+}
+
+impl PacketSampler<'_> {
+    /// As [`Self::sample_points`] without gradients, cut shapes included; not inlined: one copy for
+    /// all samples that are taken seldom, where a copy each would double the size of the program.
+    #[inline(never)]
+    pub(super) fn sample_points_apart<S: Simd>(
+        &self,
+        simd: S,
+        p: &Vec3x8<S>,
+        lanes: &mask32x8<S>,
+        near_shape: &mask32x8<S>,
+    ) -> SamplePacket<S> {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                let mut sample = self.sample_points(simd, *p, *lanes, false);
+                for n in lanes_of((*lanes & *near_shape).to_bitmask()) {
+                    if self.scene.cuts.signed_distance_mm(p.lane(n)) < 0.0 {
+                        sample.present.set(n, false);
+                        sample.depth[n] = 0.0;
+                        sample.alpha[n] = 0.0;
+                    }
+                }
+                sample
+            },
+        )
+    }
+
+    /// Which samples show something, apart from the grey faces of cuts.
+    #[inline(always)]
+    pub(super) fn is_visible<S: Simd>(&self, sample: &SamplePacket<S>) -> mask32x8<S> {
+        match self.scene.volume().iso {
+            Some(iso) => sample.present & sample.value.simd_ge(iso),
+            None => sample.depth.simd_gt(0.0),
+        }
+    }
+
+    /// Samples neighbours; also returns their masks.
+    #[inline(always)]
+    pub(super) fn neighbours<S: Simd>(
+        &self,
+        simd: S,
+        p: Vec3x8<S>,
+        lanes: mask32x8<S>,
+        near_shape: mask32x8<S>,
+    ) -> (Neighbours<S>, f32x8<S>) {
+        let at = self.sample_points_apart(simd, &p, &lanes, &near_shape);
+        let neighbours = Neighbours {
+            depth: lanes.select(at.depth, f32x8::splat(simd, 0.0)),
+            value: at.value,
+            present: at.present,
+            sampled: lanes,
+        };
+        (neighbours, at.alpha)
+    }
+
+    /// Whether a cut or a face of the volume passes between samples and the previous ones, and both
+    /// of them are so thin that a layer thinner than a step may lie between them. `own_depth`: the
+    /// densities of the samples themselves.
+    #[inline(always)]
+    pub(super) fn may_hide_a_layer<S: Simd>(
+        &self,
+        sample: &SamplePacket<S>,
+        own_depth: f32x8<S>,
+        previous: &Neighbours<S>,
+        previous_alpha: f32x8<S>,
+    ) -> mask32x8<S> {
+        let thin = match self.scene.volume().iso {
+            Some(iso) => {
+                !(previous.present & previous.value.simd_ge(iso) | sample.present & sample.value.simd_ge(iso))
+            }
+            None => own_depth.max(previous.depth).simd_lt(self.thin_depth),
+        };
+        let one_present = previous.present ^ sample.present;
+        let none_present = !(previous.present | sample.present);
+        let masked = within_mask(previous_alpha) & within_mask(sample.alpha);
+        previous.sampled & thin & (one_present | (none_present & masked))
+    }
+
+    /// Which samples have a mask's edge, a cut shape or a face of the volume near.
+    #[inline(always)]
+    pub(super) fn near_edge<S: Simd>(
+        &self,
+        sample: &SamplePacket<S>,
+        near_shape: mask32x8<S>,
+    ) -> mask32x8<S> {
+        let at_mask = sample.alpha.simd_gt(0.0) & sample.alpha.simd_lt(1.0);
+        let top = self.scene.volume().grid_size - 0.5;
+        let margin = self.deformed_face_margin_voxels;
+        let at = sample.in_voxel;
+        let reached = within(at.x, -0.5 - margin.x, top.x + margin.x)
+            & within(at.y, -0.5 - margin.y, top.y + margin.y)
+            & within(at.z, -0.5 - margin.z, top.z + margin.z);
+        let inner = within(at.x, margin.x - 0.5, top.x - margin.x)
+            & within(at.y, margin.y - 0.5, top.y - margin.y)
+            & within(at.z, margin.z - 0.5, top.z - margin.z);
+        at_mask | near_shape | (reached & !inner)
+    }
+
+    /// Searches the steps in front of some of the samples found for a layer at least twice as dense
+    /// as the sample and the previous one. Where there is one, it replaces the sample, and the
+    /// points around it the neighbours; else nothing is found.
+    #[inline(never)]
+    pub(super) fn find_thin_layers<S: Simd>(
+        &self,
+        simd: S,
+        rays: &ShadingRays<S>,
+        found: &mut FoundSamples<S>,
+    ) {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                for n in lanes_of(found.thin.to_bitmask()) {
+                    self.find_thin_layer(simd, rays, found, n);
+                }
+            },
+        );
+    }
+
+    #[inline(always)]
+    fn find_thin_layer<S: Simd>(
+        &self,
+        simd: S,
+        rays: &ShadingRays<S>,
+        found: &mut FoundSamples<S>,
+        n: usize,
+    ) {
+        let (direction, step) = (rays.direction.lane(n), rays.step[n]);
+        let start = found.deformed.lane(n) - direction * step;
+        let spacing = step / THIN_LAYER_SAMPLES as f32;
+        let along = f32x8::load_array(simd, std::array::from_fn(|k| (k as f32 + 0.5) * spacing));
+        let p = Vec3x8::splat(simd, start) + Vec3x8::splat(simd, direction) * along;
+        let all = along.simd_gt(0.0);
+        let near_shape = if self.scene.cuts.is_empty() { !all } else { all };
+        let samples = self.sample_points_apart(simd, &p, &all, &near_shape);
+        let floor = found.sample.depth[n].max(found.previous.depth[n]);
+        let dense = match self.scene.volume().iso {
+            Some(_) => self.is_visible(&samples),
+            None => samples.depth.simd_gt(2.0 * floor),
+        };
+        let visible = dense.to_bitmask();
+        if visible == 0 {
+            found.lanes.set(n, false);
+            return;
+        }
+        let first = visible.trailing_zeros() as usize;
+        let last = first + (visible >> first).trailing_ones() as usize - 1;
+        let present = |k: usize| samples.present.test(k);
+        let before = if first > 0 {
+            present(first - 1)
+        } else {
+            found.previous.present.test(n)
+        };
+        let after = if last + 1 < LANES {
+            present(last + 1)
+        } else {
+            found.sample.present.test(n)
+        };
+        let at = &mut found.sample;
+        at.in_voxel.set(n, samples.in_voxel.lane(first));
+        (at.value[n], at.front[n], at.depth[n], at.alpha[n]) = (
+            samples.value[first],
+            samples.value[first],
+            samples.depth[first],
+            samples.alpha[first],
+        );
+        at.present.set(n, true);
+        at.inside.set(n, samples.inside.test(first));
+        found.deformed.set(n, p.lane(first));
+        found.spacing[n] = spacing;
+        found.layer[n] = (last - first) as f32 * spacing;
+        // The samples around it represent the rest.
+        found.floor[n] = floor;
+        for (neighbour, present) in [(&mut found.previous, before), (&mut found.next, after)] {
+            neighbour.depth[n] = floor;
+            neighbour.present.set(n, present);
+            neighbour.sampled.set(n, true);
+        }
+    }
+
+    /// What visible samples represent, and where their rays enter material.
+    #[inline(always)]
+    pub(super) fn extents<S: Simd>(
+        &self,
+        simd: S,
+        rays: &ShadingRays<S>,
+        found: &FoundSamples<S>,
+        visible: mask32x8<S>,
+    ) -> SampleExtents<S> {
+        let FoundSamples {
+            sample,
+            deformed,
+            previous,
+            next,
+            spacing,
+            ..
+        } = found;
+        let own = SurfaceEntries {
+            deformed: *deformed,
+            in_voxel: sample.in_voxel,
+            value: sample.value,
+            inside: sample.inside,
+        };
+        let none = visible & !visible;
+        let depth = sample.depth;
+        // Samples of pre-integrated segments represent what is in front of them.
+        let segment = if self.preintegrated.is_some() {
+            !found.thin
+        } else {
+            none
+        };
+        let zero = f32x8::splat(simd, 0.0);
+        let half = *spacing * 0.5;
+        let (mut before, mut behind) = (segment.select(*spacing, half), segment.select(zero, half));
+        let (mut entry, mut through_cut) = (own, none);
+        let (rises, falls) = differs(depth, previous.depth);
+        let entered = visible & rises;
+        let crossed = entered | (visible & falls & !segment);
+        if crossed.any_true() {
+            let front = self.crossing(
+                simd,
+                &Bracket {
+                    start: own,
+                    direction: -rays.direction,
+                    width: *spacing,
+                    enough: (depth + previous.depth) * 0.5,
+                    dense_here: rises,
+                    lanes: crossed,
+                    near_shape: found.near_cut,
+                },
+            );
+            before = (crossed & !(segment & previous.present)).select(front.distance, before);
+            entry = SurfaceEntries {
+                deformed: Vec3x8::select(entered, front.last.deformed, own.deformed),
+                in_voxel: Vec3x8::select(entered, front.last.in_voxel, own.in_voxel),
+                value: entered.select(front.last.value, own.value),
+                inside: (entered & front.last.inside) | (own.inside & !entered),
+            };
+            through_cut =
+                entered & !((front.far_present & front.far_found) | (previous.present & !front.far_found));
+            let unknown = entered & !front.far_found & !previous.sampled;
+            if unknown.any_true() {
+                let point = *deformed - rays.direction * *spacing;
+                let there = self.sample_points_apart(simd, &point, &unknown, &found.near_cut);
+                through_cut &= !(unknown & there.present);
+            }
+        }
+        let (falls, rises) = differs(depth, next.depth);
+        let crossed = visible
+            & !found.hidden
+            & self.sees_behind(sample, rays.step)
+            & ((!segment & (falls | rises)) | (segment & next.sampled & !next.present));
+        if crossed.any_true() {
+            let back = self.crossing(
+                simd,
+                &Bracket {
+                    start: SurfaceEntries {
+                        deformed: *deformed + rays.direction * found.layer,
+                        ..own
+                    },
+                    direction: rays.direction,
+                    width: *spacing,
+                    enough: (depth + next.depth) * 0.5,
+                    dense_here: falls | segment,
+                    lanes: crossed,
+                    near_shape: found.near_cut,
+                },
+            );
+            behind = crossed.select(back.distance, behind);
+        }
+        SampleExtents {
+            share: (before + found.layer + behind) / rays.step,
+            entry,
+            entered,
+            through_cut,
+        }
+    }
+
+    /// Through which samples anything behind them can be seen: half a step of them is not opaque.
+    #[inline(always)]
+    pub(super) fn sees_behind<S: Simd>(&self, sample: &SamplePacket<S>, step: f32x8<S>) -> mask32x8<S> {
+        let half_step = step * (0.5 / self.scene.frame.spacing.reference_mm);
+        let depth = if self.gradient_opacity {
+            half_step * 0.0
+        } else {
+            sample.depth * half_step
+        };
+        depth.simd_lt(OPAQUE_DEPTH)
+    }
+
+    /// Where the density crosses a threshold, by bisection.
+    #[inline(never)]
+    fn crossing<S: Simd>(&self, simd: S, bracket: &Bracket<S>) -> Crossing<S> {
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                let Bracket {
+                    start,
+                    direction,
+                    width,
+                    enough,
+                    dense_here,
+                    lanes,
+                    near_shape,
+                } = *bracket;
+                let none = lanes & !lanes;
+                let zero = f32x8::splat(simd, 0.0);
+                let (mut near, mut far) = (zero, width);
+                let mut crossing = Crossing {
+                    distance: zero,
+                    last: start,
+                    far_present: none,
+                    far_found: none,
+                };
+                for _ in 0..EDGE_STEPS {
+                    let middle = (near + far) * 0.5;
+                    let p = start.deformed + direction * middle;
+                    let there = self.sample_points_apart(simd, &p, &lanes, &near_shape);
+                    let dense = there.present & there.depth.simd_ge(enough);
+                    let on_near_side = !(dense ^ dense_here);
+                    near = on_near_side.select(middle, near);
+                    far = on_near_side.select(far, middle);
+                    let last = &mut crossing.last;
+                    last.deformed = Vec3x8::select(on_near_side, p, last.deformed);
+                    last.in_voxel = Vec3x8::select(on_near_side, there.in_voxel, last.in_voxel);
+                    last.value = on_near_side.select(there.value, last.value);
+                    last.inside = (on_near_side & there.inside) | (last.inside & !on_near_side);
+                    crossing.far_present =
+                        (crossing.far_present & on_near_side) | (there.present & !on_near_side);
+                    crossing.far_found |= !on_near_side;
+                }
+                crossing.distance = (near + far) * 0.5;
+                crossing
+            },
+        )
+    }
+}
