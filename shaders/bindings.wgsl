@@ -53,6 +53,7 @@ override MAPS: u32 = 64u;
 override PRECOMPOSED: u32 = 0u;
 override NORMALS: u32 = NORMALS_BLENDED;
 override BLEND: u32 = BLEND_COMPOSITE;
+override FILTER: u32 = FILTER_LINEAR;
 override GRADIENT: u32 = GRADIENT_CENTRAL;
 // 1: colour and opacity are those of the segments between samples.
 override PREINTEGRATED: u32 = 0u;

@@ -422,10 +422,8 @@ fn cell_is_visible(cell: Box) -> bool {
     }
     let reached = grown(cell, vec3<f32>(grid.cut_lookback_mm));
     let distance_range = signed_distance_range(reached);
-    if own.is_near_cut || (distance_range.x < 0.0 && distance_range.y >= 0.0) {
-        return box_visibility(reached).something;
-    }
-    return false;
+    let all = box_visibility(reached);
+    return all.something && (all.is_near_cut || (distance_range.x < 0.0 && distance_range.y >= 0.0));
 }
 
 // Whether some texel within one texel of a box, in world coordinates, has a mask below 1.

@@ -22,7 +22,7 @@ use crate::picture::StageTimes;
 use crate::prepare::{AssetKey, Assets, LoadOptions, PrepareOptions, Prepared};
 #[cfg(feature = "gpu")]
 use crate::render::Renderer;
-use crate::scene::{Antialias, Mode, Scene, SliceOrder};
+use crate::scene::{Antialias, Mode, Scene, SliceOrder, VolumeFilter};
 use crate::{Error, Result, Watch, cpu};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -65,8 +65,8 @@ pub enum Quality {
     #[default]
     Full,
     /// For a moving view: `scale` pixels of the view along each axis become one pixel of the
-    /// picture, the step is doubled if `scale` exceeds 1.5, antialiasing is off, and slices are drawn
-    /// in slabs from front to back.
+    /// picture, the step is doubled if `scale` exceeds 1.5, antialiasing is off, interpolation is
+    /// linear, and slices are drawn in slabs from front to back.
     Draft {
         /// Pixels of the view per pixel of the picture, along each axis.
         scale: f32,
@@ -83,6 +83,7 @@ impl Quality {
         draft.render.size = draft.render.size.map(|n| ((n as f32 / scale) as u32).max(16));
         draft.render.step = (draft.render.step * if scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
         draft.render.antialias = Antialias::OFF;
+        draft.render.filter = VolumeFilter::Linear;
         if draft.render.mode == Mode::Slice {
             draft.render.slab = draft.render.slab.max(DRAFT_SLAB);
             draft.render.slice_order = SliceOrder::FrontToBack;

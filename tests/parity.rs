@@ -12,7 +12,7 @@ use incise::cpu;
 use incise::gpu::{AdapterPreference, Device};
 use incise::prepare::{PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy};
-use incise::scene::{Antialias, CutFaces, Deformation, IsoLight, Mode, Scene, SliceOrder};
+use incise::scene::{Antialias, CutFaces, Deformation, IsoLight, Mode, Scene, SliceOrder, VolumeFilter};
 use incise::transfer::{Blend, GradientPoint};
 use incise::volume::GradientFilter;
 use libtest_mimic::Trial;
@@ -307,6 +307,7 @@ fn every_cut() -> [Deformation; 8] {
 /// All options that change the shaders.
 fn options_agree() {
     let mut base = Scene::of_volume("phantom:head-ct:size=64");
+    base.render.filter = VolumeFilter::Linear;
     base.render.size = [128, 128];
     base.camera.view = "40,20".parse().unwrap();
     base.deformation.push(Deformation::new("knife"));
@@ -319,6 +320,20 @@ fn options_agree() {
     };
     add("orthographic", &|s| {
         s.camera.projection = incise::scene::Projection::Orthographic
+    });
+    add("cubic", &|s| s.render.filter = VolumeFilter::Cubic);
+    add("cubic, preintegrated, gradient opacity", &|s| {
+        (s.render.filter, s.render.preintegrated) = (VolumeFilter::Cubic, true);
+        s.transfer.gradient_opacity = vec![
+            GradientPoint {
+                magnitude: 0.0,
+                factor: 0.2,
+            },
+            GradientPoint {
+                magnitude: 60.0,
+                factor: 1.0,
+            },
+        ];
     });
     add("sobel", &|s| s.render.gradient = GradientFilter::Sobel);
     add("one-sided", &|s| s.light.two_sided = false);

@@ -3,7 +3,7 @@
 use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
 use incise::prepare::{Assets, Prepared};
-use incise::scene::{Antialias, FORMAT_VERSION, Mode, Normals, Scene, SliceOrder};
+use incise::scene::{Antialias, FORMAT_VERSION, Mode, Normals, Scene, SliceOrder, VolumeFilter};
 use incise::transfer::RelativeTo;
 use std::path::PathBuf;
 
@@ -62,11 +62,16 @@ pub fn every_version_is_read() {
         (first.transfer.relative_to, second.transfer.relative_to),
         (RelativeTo::Range, RelativeTo::Object)
     );
+    assert_eq!(
+        (first.render.filter, second.render.filter),
+        (VolumeFilter::Linear, VolumeFilter::Cubic)
+    );
     let written = Scene::from_toml(&first.to_toml().unwrap()).unwrap();
     assert_eq!(written.to_toml().unwrap(), first.to_toml().unwrap());
     // Nothing else differs.
     let mut same = second.clone();
     (same.render.antialias, same.transfer.relative_to) = (Antialias::OFF, RelativeTo::Range);
+    same.render.filter = VolumeFilter::Linear;
     assert_eq!(same, first);
     // What a scene states is left as it is.
     let text = "incise = 1\n[volume]\npath = \"phantom:ball\"\n[render]\nantialias = 3\n[transfer]\npreset = \"checker\"\n";
@@ -316,7 +321,7 @@ pub fn empty_pictures_say_why() {
             format!("{volume}[render]\nmode = \"surface\"\n[[mesh]]\niso = 9000.0"),
             "no surface at 9000",
         ),
-        (format!("{volume}[render]\nstep = 64.0"), "reduce render.step"),
+        (format!("{volume}[render]\nstep = 100.0"), "reduce render.step"),
         (
             format!("{volume}[transfer]\ndensity = 0.0"),
             "transfer.density is 0",

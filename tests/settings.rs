@@ -125,6 +125,7 @@ const ACTS: &[(&str, &str, &str, bool)] = &[
     (VOLUME, "render.step", "0.5", true),
     (VOLUME, "render.antialias", "2", true),
     (VOLUME, "render.normals", "\"source\"", true),
+    (VOLUME, "render.filter", "\"cubic\"", true),
     (VOLUME, "render.gradient", "\"sobel\"", true),
     (VOLUME, "render.empty_space_skipping", "false", false),
     (VOLUME, "render.early_termination", "false", false),

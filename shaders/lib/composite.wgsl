@@ -78,9 +78,9 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32, hidden
         layered = false;
         while (way.i < end || waiting) && !stop {
             let middle = (f32(way.i) + 0.5) * step;
-            let from = way.i;
+            let reached = way.i;
             way = advanced(way, ray, inverse_direction, end, step);
-            counted.y += u32(way.i - from);
+            counted.y += u32(way.i - reached);
             if way.skipped {
                 // The next sample lies in an empty cell, or past the end of the ray.
                 if waiting {

@@ -96,9 +96,11 @@ fn near_edge(at: SceneSample, sampled: vec3<f32>, step: f32) -> bool {
 const FRONT_SAMPLE: i32 = 0;
 const LAYER: i32 = 1;
 const FRONT: i32 = 2;
-const NEXT_SAMPLE: i32 = 3;
-const BACK: i32 = 4;
-const DONE: i32 = 5;
+const CUT: i32 = 3;
+const BEHIND_CUT: i32 = 4;
+const NEXT_SAMPLE: i32 = 5;
+const BACK: i32 = 6;
+const DONE: i32 = 7;
 
 // A search for what a sample represents.
 struct ExtentSearch {
@@ -119,7 +121,12 @@ struct ExtentSearch {
     far: f32,
     enough: f32,
     dense_here: bool,
-    // Whether the first point found on the far side is present, and whether there is one.
+    // The ray comes out of a cut.
+    from_cut: bool,
+    // The densities found nearest to the crossing on both sides.
+    near_depth: f32,
+    far_depth: f32,
+    // Whether the first point on the far side is present, and whether it is known.
     far_present: bool,
     far_found: bool,
 }
@@ -138,7 +145,7 @@ fn extent(found: FoundSample, direction: vec3<f32>, step: f32) -> SampleExtent {
         }
         let q = searched_point(x, found.s.deformed, direction, step);
         let at = sample_scene(q);
-        x = taken(x, at, q, found.present, step);
+        x = taken(x, at, q, direction, found.present, step);
     }
     x.e.share = (x.before + x.layer + x.behind) / step;
     return x.e;
@@ -154,8 +161,11 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.before = select(0.5 * x.e.spacing, x.e.spacing, x.segment);
         x.near = 0.0;
         x.far = x.e.spacing;
-        x.enough = 0.5 * (depth + other.depth);
+        x.from_cut = x.e.entered && other.state == SAMPLED && !other.present;
+        x.enough = select(0.5 * (depth + other.depth), -1.0, x.from_cut);
         x.dense_here = x.e.entered;
+        x.near_depth = depth;
+        x.far_depth = other.depth;
         x.far_present = other.present;
         x.far_found = other.state == SAMPLED;
         if !x.e.entered && (x.segment || !(depth < 0.5 * other.depth)) {
@@ -173,6 +183,9 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.far = x.e.spacing;
         x.enough = 0.5 * (depth + other.depth);
         x.dense_here = x.segment || other.depth < 0.5 * depth;
+        x.near_depth = depth;
+        x.far_depth = other.depth;
+        x.far_present = other.present;
         let ends = x.segment && other.state == SAMPLED && !other.present;
         if hidden || !(ends || (!x.segment && (other.depth < 0.5 * depth || depth < 0.5 * other.depth))) {
             x.turn = DONE;
@@ -189,14 +202,17 @@ fn searched_point(x: ExtentSearch, deformed: vec3<f32>, direction: vec3<f32>, st
         case LAYER: {
             return deformed - direction * (step - (f32(x.n) + 0.5) * step / f32(THIN_LAYER_SAMPLES));
         }
-        case FRONT: { return x.e.at.s.deformed - direction * middle; }
+        case FRONT, BEHIND_CUT: { return x.e.at.s.deformed - direction * middle; }
+        case CUT: { return x.e.entry.deformed + direction * (0.5 * frame.reference_mm); }
         case NEXT_SAMPLE: { return deformed + direction * step; }
         default: { return x.e.at.s.deformed + direction * (x.layer + middle); }
     }
 }
 
 // Evaluates the sample of a search.
-fn taken(search: ExtentSearch, at: SceneSample, q: vec3<f32>, present: bool, step: f32) -> ExtentSearch {
+fn taken(
+    search: ExtentSearch, at: SceneSample, q: vec3<f32>, direction: vec3<f32>, present: bool, step: f32
+) -> ExtentSearch {
     var x = search;
     let there = visible_sample(at, q);
     if x.turn == FRONT_SAMPLE {
@@ -208,6 +224,19 @@ fn taken(search: ExtentSearch, at: SceneSample, q: vec3<f32>, present: bool, ste
         }
     } else if x.turn == LAYER {
         x = layer_taken(x, at, there, present, step);
+    } else if x.turn == CUT {
+        // Directly behind a cut lies its face, or thinner material in front of a surface.
+        x.e.through_cut = !(x.e.entry.depth < 0.5 * there.depth);
+        x.turn = select(BEHIND_CUT, NEXT_SAMPLE, x.e.through_cut);
+        x.near = 0.0;
+        x.far = dot(x.e.at.s.deformed - x.e.entry.deformed, direction);
+        x.enough = 0.5 * x.e.at.s.depth;
+        x.near_depth = x.e.at.s.depth;
+        x.far_depth = x.e.entry.depth;
+        x.far_present = true;
+        if !x.e.through_cut {
+            x.e.entry = x.e.at.s;
+        }
     } else if x.turn == NEXT_SAMPLE {
         x.e.at.next = as_neighbour(at);
         x.turn = BACK;
@@ -220,28 +249,46 @@ fn taken(search: ExtentSearch, at: SceneSample, q: vec3<f32>, present: bool, ste
         let middle = 0.5 * (x.near + x.far);
         if (at.present && there.depth >= x.enough) == x.dense_here {
             x.near = middle;
-            if x.turn == FRONT && x.e.entered {
+            x.near_depth = there.depth;
+            if x.turn != BACK && x.e.entered {
                 x.e.entry = there;
             }
         } else {
             x.far = middle;
+            x.far_depth = there.depth;
             x.far_present = at.present;
             x.far_found = true;
         }
     }
     if x.turn == BACK && x.n == EDGE_STEPS {
-        x.behind = 0.5 * (x.near + x.far);
+        x.behind = crossing(x);
         x.turn = DONE;
     }
     if x.turn == FRONT && x.n == EDGE_STEPS && (x.far_found || !x.e.entered) {
         x.e.through_cut = x.e.entered && !x.far_present;
         if !(x.segment && x.e.at.previous.present) {
-            x.before = 0.5 * (x.near + x.far);
+            x.before = crossing(x);
         }
+        x.turn = select(NEXT_SAMPLE, CUT, x.from_cut);
+        x.n = 0;
+    }
+    if x.turn == BEHIND_CUT && x.n == EDGE_STEPS {
+        x.before = select(crossing(x), x.before, x.segment);
         x.turn = NEXT_SAMPLE;
         x.n = 0;
     }
     return x;
+}
+
+// Where a bisection has found the density to cross its threshold; between two points of the material
+// the density is interpolated.
+fn crossing(x: ExtentSearch) -> f32 {
+    let drop = x.near_depth - x.far_depth;
+    var part = 0.5;
+    if x.far_present && abs(drop) > 1e-6 {
+        part = clamp((x.near_depth - x.enough) / drop, 0.0, 1.0);
+    }
+    return mix(x.near, x.far, part);
 }
 
 // Evaluates one of the samples that search a step for a layer thinner than it.

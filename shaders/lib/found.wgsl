@@ -35,7 +35,8 @@ fn to_be_shaded(at: SceneSample, depth: f32, sampled: vec3<f32>, step: f32) -> b
 
 // Whether visible samples are shaded by a gradient.
 fn shades_by_gradient() -> bool {
-    return BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && (is_lit() || uses_gradient_opacity());
+    return BLEND == BLEND_COMPOSITE && ISO == ISO_NONE && FILTER == FILTER_LINEAR
+        && (is_lit() || uses_gradient_opacity());
 }
 
 // The visible sample at a point, by the segment in front of it where segments are pre-integrated;
@@ -87,6 +88,13 @@ fn shaded_sample(
     }
     var s = e.entry;
     s.depth = at.s.depth;
+    if FILTER == FILTER_CUBIC {
+        let there = sample_cubic(s.in_voxel);
+        s.value = there.w;
+        s.color = lookup(there.w).rgb;
+        s.gradient = there.xyz;
+        s.has_gradient = true;
+    }
     if PREINTEGRATED != 0u && !found.thin {
         // The colour is that of the whole segment.
         s.color = found.s.color;

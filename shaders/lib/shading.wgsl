@@ -257,9 +257,13 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     if through_cut {
         cut = nearer_cut_shape(nearest_cut(j, hit.in_voxel), inside);
     }
-    let n = shaded_normal(
-        j.d_source_d_deformed, world_from_voxel_covector(gradient(hit.in_voxel)), cut, direction
-    );
+    var per_voxel = vec3<f32>(0.0);
+    if FILTER == FILTER_CUBIC {
+        per_voxel = sample_cubic(hit.in_voxel).xyz;
+    } else {
+        per_voxel = gradient(hit.in_voxel);
+    }
+    let n = shaded_normal(j.d_source_d_deformed, world_from_voxel_covector(per_voxel), cut, direction);
     return light(n, half_vector(direction), color);
 }
 

@@ -46,6 +46,59 @@ fn sample_scene_and_gradient(deformed: vec3<f32>, with_gradient: bool) -> SceneS
     );
 }
 
+// Weights of the texels at -1, 0, 1, 2 around a position f in 0..1 by a cubic B-spline.
+fn spline_weights(f: f32) -> vec4<f32> {
+    let g = 1.0 - f;
+    return vec4<f32>(g * g * g, 4.0 - 3.0 * f * f * (2.0 - f), 4.0 - 3.0 * g * g * (2.0 - g), f * f * f) / 6.0;
+}
+
+// Their derivatives.
+fn spline_slopes(f: f32) -> vec4<f32> {
+    let g = 1.0 - f;
+    return vec4<f32>(-g * g, f * (3.0 * f - 4.0), g * (4.0 - 3.0 * g), f * f) / 2.0;
+}
+
+// Gradient per voxel and normalised value at a position in voxels by a cubic B-spline. Counterpart
+// of src/volume/cubic.rs.
+fn sample_cubic(p: vec3<f32>) -> vec4<f32> {
+    let size = vec3<f32>(textureDimensions(volume));
+    // Larger volumes than a device holds have fewer texels than voxels.
+    let texels_per_voxel = size / frame.texture_size;
+    let q = (p + 0.5) * texels_per_voxel - 0.5;
+    let base = floor(q);
+    let f = q - base;
+    let last = vec3<i32>(size) - 1;
+    var sum = vec4<f32>(0.0);
+    // The same of ones: less than 1, and not 0, where voxels have no data.
+    var counted = vec4<f32>(0.0);
+    let x = spline_weights(f.x);
+    let x_slopes = spline_slopes(f.x);
+    let y = spline_weights(f.y);
+    let y_slopes = spline_slopes(f.y);
+    let z = spline_weights(f.z);
+    let z_slopes = spline_slopes(f.z);
+    for (var n = 0; n < 64; n += 1) {
+        let at = vec3<i32>(n & 3, (n >> 2u) & 3, n >> 4u);
+        let texel = clamp(vec3<i32>(base) + at - 1, vec3<i32>(0), last);
+        let value = textureLoad(volume, texel, 0).r * frame.value_scale + frame.value_offset;
+        let weight = vec4<f32>(
+            x_slopes[at.x] * y[at.y] * z[at.z],
+            x[at.x] * y_slopes[at.y] * z[at.z],
+            x[at.x] * y[at.y] * z_slopes[at.z],
+            x[at.x] * y[at.y] * z[at.z],
+        );
+        if value >= -1e-4 {
+            sum += weight * value;
+            counted += weight;
+        }
+    }
+    if counted.w < 1e-6 {
+        return vec4<f32>(0.0, 0.0, 0.0, -1.0);
+    }
+    let value = sum.w / counted.w;
+    return vec4<f32>((sum.xyz - counted.xyz * value) / counted.w * texels_per_voxel, value);
+}
+
 fn central(p: vec3<f32>) -> vec3<f32> {
     let x = vec3<f32>(1.0, 0.0, 0.0);
     let y = vec3<f32>(0.0, 1.0, 0.0);

@@ -6,7 +6,7 @@ use crate::files::OutputFile;
 use crate::files::path_text::{path_of, text_of};
 use crate::prepare::{Assets, IdleSetting, LoadOptions};
 use crate::scene::surface::CutModel;
-use crate::scene::{Antialias, Camera, InsideMesh, Mode, Projection, Scene, View};
+use crate::scene::{Antialias, Camera, InsideMesh, Mode, Projection, Scene, View, VolumeFilter};
 use crate::volume::load::Origin;
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
@@ -50,6 +50,21 @@ enum ProjectionName {
     Orthographic,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum FilterName {
+    Linear,
+    Cubic,
+}
+
+impl From<FilterName> for VolumeFilter {
+    fn from(name: FilterName) -> Self {
+        match name {
+            FilterName::Linear => Self::Linear,
+            FilterName::Cubic => Self::Cubic,
+        }
+    }
+}
+
 /// What is shown and how: the options that every command with a picture takes.
 #[derive(Args)]
 pub struct Common {
@@ -75,6 +90,9 @@ pub struct Common {
     /// in every pixel (1 to 4).
     #[arg(long, value_name = "adaptive|N")]
     antialias: Option<Antialias>,
+    /// Interpolation of the volume where it is shaded: cubic B-splines are smoother and take longer.
+    #[arg(long, value_enum)]
+    filter: Option<FilterName>,
     /// anterior, posterior, left, right, superior, inferior or AZ,EL in degrees.
     #[arg(long, allow_hyphen_values = true, value_parser = |t: &str| t.parse::<View>())]
     pub camera: Option<View>,
@@ -194,6 +212,7 @@ impl Common {
         render.step = self.step.unwrap_or(render.step);
         render.slab = self.slab.unwrap_or(render.slab);
         render.antialias = self.antialias.unwrap_or(render.antialias);
+        render.filter = self.filter.map_or(render.filter, VolumeFilter::from);
         render.background = self.background.unwrap_or(render.background);
         let camera = &mut scene.camera;
         if let Some(view) = self.camera {
@@ -278,6 +297,7 @@ impl Common {
     pub fn check_effects(&self, idle: &[IdleSetting]) -> Result<()> {
         let given = [
             (self.slab.is_some(), "--slab", "render.slab"),
+            (self.filter.is_some(), "--filter", "render.filter"),
             (self.preset.is_some(), "--preset", "transfer.preset"),
             (self.window.is_some(), "--window", "transfer.window"),
             (self.level.is_some(), "--level", "transfer.level"),

@@ -158,11 +158,26 @@ pub(super) struct SurfaceEntries<S: Simd> {
     pub(super) inside: mask32x8<S>,
 }
 
+impl<S: Simd> SurfaceEntries<S> {
+    /// Some lanes of one, the others of another.
+    #[inline(always)]
+    fn select(lanes: mask32x8<S>, yes: &Self, no: &Self) -> Self {
+        Self {
+            deformed: Vec3x8::select(lanes, yes.deformed, no.deformed),
+            in_voxel: Vec3x8::select(lanes, yes.in_voxel, no.in_voxel),
+            value: lanes.select(yes.value, no.value),
+            inside: (lanes & yes.inside) | (no.inside & !lanes),
+        }
+    }
+}
+
 /// What eight samples represent, and where they are shaded.
 pub(super) struct SampleExtents<S: Simd> {
     /// Lengths as fractions of a step.
     pub(super) share: f32x8<S>,
     pub(super) entry: SurfaceEntries<S>,
+    /// Gradients per voxel there, if they come with the values.
+    pub(super) gradient: Option<Vec3x8<S>>,
     /// Which rays enter material in front of their sample.
     pub(super) entered: mask32x8<S>,
     /// Which of them come out of a cut or into the volume, as opposed to out of thinner material.
@@ -175,6 +190,10 @@ struct Bracket<S: Simd> {
     start: SurfaceEntries<S>,
     /// Unit directions to the far ends.
     direction: Vec3x8<S>,
+    /// The densities at the near ends, and at the far ends, and which of these are present.
+    depth: f32x8<S>,
+    far_depth: f32x8<S>,
+    far_present: mask32x8<S>,
     /// Lengths, mm.
     width: f32x8<S>,
     /// The thresholds.
@@ -191,9 +210,11 @@ struct Bracket<S: Simd> {
 struct Crossing<S: Simd> {
     /// Distances from the near ends, mm.
     distance: f32x8<S>,
-    /// The last points found on the near side.
+    /// The last points found on the near side, and their densities.
     last: SurfaceEntries<S>,
-    /// Which of the first points found on the far side are present, and which were found.
+    last_depth: f32x8<S>,
+    /// Which of the first points on the far side are present, and which of them were found within
+    /// the stretch.
     far_present: mask32x8<S>,
     far_found: mask32x8<S>,
 }
@@ -422,39 +443,19 @@ impl PacketSampler<'_> {
         };
         let zero = f32x8::splat(simd, 0.0);
         let half = *spacing * 0.5;
+        let mut extents = SampleExtents {
+            share: zero,
+            entry: own,
+            gradient: None,
+            entered: none,
+            through_cut: none,
+        };
         let (mut before, mut behind) = (segment.select(*spacing, half), segment.select(zero, half));
-        let (mut entry, mut through_cut) = (own, none);
         let (rises, falls) = differs(depth, previous.depth);
-        let entered = visible & rises;
-        let crossed = entered | (visible & falls & !segment);
+        extents.entered = visible & rises;
+        let crossed = extents.entered | (visible & falls & !segment);
         if crossed.any_true() {
-            let front = self.crossing(
-                simd,
-                &Bracket {
-                    start: own,
-                    direction: -rays.direction,
-                    width: *spacing,
-                    enough: (depth + previous.depth) * 0.5,
-                    dense_here: rises,
-                    lanes: crossed,
-                    near_shape: found.near_cut,
-                },
-            );
-            before = (crossed & !(segment & previous.present)).select(front.distance, before);
-            entry = SurfaceEntries {
-                deformed: Vec3x8::select(entered, front.last.deformed, own.deformed),
-                in_voxel: Vec3x8::select(entered, front.last.in_voxel, own.in_voxel),
-                value: entered.select(front.last.value, own.value),
-                inside: (entered & front.last.inside) | (own.inside & !entered),
-            };
-            through_cut =
-                entered & !((front.far_present & front.far_found) | (previous.present & !front.far_found));
-            let unknown = entered & !front.far_found & !previous.sampled;
-            if unknown.any_true() {
-                let point = *deformed - rays.direction * *spacing;
-                let there = self.sample_points_apart(simd, &point, &unknown, &found.near_cut);
-                through_cut &= !(unknown & there.present);
-            }
+            before = self.front_edge(simd, rays, found, (crossed, segment), before, &mut extents);
         }
         let (falls, rises) = differs(depth, next.depth);
         let crossed = visible
@@ -471,6 +472,9 @@ impl PacketSampler<'_> {
                     },
                     direction: rays.direction,
                     width: *spacing,
+                    depth,
+                    far_depth: next.depth,
+                    far_present: next.present,
                     enough: (depth + next.depth) * 0.5,
                     dense_here: falls | segment,
                     lanes: crossed,
@@ -479,12 +483,68 @@ impl PacketSampler<'_> {
             );
             behind = crossed.select(back.distance, behind);
         }
-        SampleExtents {
-            share: (before + found.layer + behind) / rays.step,
-            entry,
-            entered,
-            through_cut,
+        extents.share = (before + found.layer + behind) / rays.step;
+        extents
+    }
+
+    /// Where the density changes in front of samples: the lengths in front of them, mm, and in
+    /// `extents` where rays enter material, and through what.
+    ///
+    /// What lies directly behind a cut is the face of the cut, if it is at least half as dense as
+    /// the material half a voxel farther on; else the ray enters a surface of the material's own
+    /// behind the cut. Neither depends on where the samples fall.
+    #[inline(always)]
+    fn front_edge<S: Simd>(
+        &self,
+        simd: S,
+        rays: &ShadingRays<S>,
+        found: &FoundSamples<S>,
+        (crossed, segment): (mask32x8<S>, mask32x8<S>),
+        mut before: f32x8<S>,
+        extents: &mut SampleExtents<S>,
+    ) -> f32x8<S> {
+        let (previous, depth, entered) = (&found.previous, found.sample.depth, extents.entered);
+        let own = extents.entry;
+        let from_cut = entered & previous.sampled & !previous.present;
+        let mut bracket = Bracket {
+            start: own,
+            depth,
+            far_depth: previous.depth,
+            far_present: previous.present,
+            direction: -rays.direction,
+            width: found.spacing,
+            enough: from_cut.select(f32x8::splat(simd, -1.0), (depth + previous.depth) * 0.5),
+            dense_here: entered,
+            lanes: crossed,
+            near_shape: found.near_cut,
+        };
+        let front = self.crossing(simd, &bracket);
+        before = (crossed & !(segment & previous.present)).select(front.distance, before);
+        extents.entry = SurfaceEntries::select(entered, &front.last, &own);
+        extents.through_cut = entered & !front.far_present;
+        let unknown = entered & !front.far_found & !previous.sampled;
+        if unknown.any_true() {
+            let point = own.deformed - rays.direction * found.spacing;
+            let there = self.sample_points_apart(simd, &point, &unknown, &found.near_cut);
+            extents.through_cut &= !(unknown & there.present);
         }
+        if from_cut.any_true() {
+            let half_voxel = f32x8::splat(simd, 0.5 * self.scene.frame.spacing.reference_mm);
+            let point = extents.entry.deformed + rays.direction * half_voxel;
+            let inside = self.sample_points_apart(simd, &point, &from_cut, &found.near_cut);
+            let behind = from_cut & front.last_depth.simd_lt(inside.depth * 0.5);
+            if behind.any_true() {
+                extents.through_cut &= !behind;
+                bracket.width = (own.deformed - extents.entry.deformed).dot(rays.direction);
+                bracket.enough = depth * 0.5;
+                (bracket.far_depth, bracket.far_present) = (front.last_depth, behind);
+                bracket.lanes = behind;
+                let surface = self.crossing(simd, &bracket);
+                before = (behind & !segment).select(surface.distance, before);
+                extents.entry = SurfaceEntries::select(behind, &surface.last, &extents.entry);
+            }
+        }
+        before
     }
 
     /// Through which samples anything behind them can be seen: half a step of them is not opaque.
@@ -507,6 +567,9 @@ impl PacketSampler<'_> {
             || {
                 let Bracket {
                     start,
+                    depth,
+                    far_depth,
+                    far_present,
                     direction,
                     width,
                     enough,
@@ -520,9 +583,11 @@ impl PacketSampler<'_> {
                 let mut crossing = Crossing {
                     distance: zero,
                     last: start,
-                    far_present: none,
+                    last_depth: depth,
+                    far_present,
                     far_found: none,
                 };
+                let mut far_depth = far_depth;
                 for _ in 0..EDGE_STEPS {
                     let middle = (near + far) * 0.5;
                     let p = start.deformed + direction * middle;
@@ -531,16 +596,25 @@ impl PacketSampler<'_> {
                     let on_near_side = !(dense ^ dense_here);
                     near = on_near_side.select(middle, near);
                     far = on_near_side.select(far, middle);
-                    let last = &mut crossing.last;
-                    last.deformed = Vec3x8::select(on_near_side, p, last.deformed);
-                    last.in_voxel = Vec3x8::select(on_near_side, there.in_voxel, last.in_voxel);
-                    last.value = on_near_side.select(there.value, last.value);
-                    last.inside = (on_near_side & there.inside) | (last.inside & !on_near_side);
+                    let near_point = SurfaceEntries {
+                        deformed: p,
+                        in_voxel: there.in_voxel,
+                        value: there.value,
+                        inside: there.inside,
+                    };
+                    crossing.last = SurfaceEntries::select(on_near_side, &near_point, &crossing.last);
+                    crossing.last_depth = on_near_side.select(there.depth, crossing.last_depth);
                     crossing.far_present =
                         (crossing.far_present & on_near_side) | (there.present & !on_near_side);
                     crossing.far_found |= !on_near_side;
+                    far_depth = on_near_side.select(far_depth, there.depth);
                 }
-                crossing.distance = (near + far) * 0.5;
+                // Between two points of the material the density is interpolated.
+                let drop = crossing.last_depth - far_depth;
+                let part = ((crossing.last_depth - enough) / drop).max(0.0).min(1.0);
+                let known = crossing.far_present & drop.abs().simd_gt(1e-6);
+                let part = known.select(part, f32x8::splat(simd, 0.5));
+                crossing.distance = near + (far - near) * part;
                 crossing
             },
         )

@@ -2,10 +2,11 @@
 //! once it is known to be visible. How samples are found, and in which order they are composited,
 //! is up to each renderer ([`super::march`], [`super::slices`]).
 
-use super::edges::{FoundSamples, Neighbours, ShadingRays};
+use super::edges::{FoundSamples, Neighbours, SampleExtents, ShadingRays};
 use super::packet::{PacketSampler, SamplePacket};
 use super::packet_shading::{ScalarInput, ScalarSample};
 use crate::math::lanes::*;
+use glam::Vec3;
 
 /// Counts how many samples of the packets so far found something to shade. Where few did, gradients
 /// are fetched only for those rather than with every value. The picture does not depend on it.
@@ -110,6 +111,11 @@ impl PacketSampler<'_> {
         simd.vectorize(
             #[inline(always)]
             || {
+                let mut visible = found.lanes & found.sample.depth.simd_gt(0.0);
+                let mut extents = self.extents(simd, rays, found, visible);
+                if self.cubic {
+                    self.apply_cubic_filter(simd, &mut extents, visible);
+                }
                 let FoundSamples {
                     lanes,
                     sample,
@@ -118,9 +124,7 @@ impl PacketSampler<'_> {
                     ..
                 } = found;
                 let zero = f32x8::splat(simd, 0.0);
-                let mut visible = *lanes & sample.depth.simd_gt(0.0);
                 let mut opaque = *lanes & !*lanes;
-                let extents = self.extents(simd, rays, found, visible);
                 let (mut color, mut depth) = (*deformed, zero);
                 let mut scalar_lanes = self.scalar_lanes(simd, *rays, found);
                 let packet_lanes = visible & !scalar_lanes;
@@ -147,6 +151,7 @@ impl PacketSampler<'_> {
                             deformed: deformed.lane(n),
                             entry: (entry.deformed.lane(n), entry.in_voxel.lane(n), entry.value[n]),
                             entered: extents.entered.test(n).then(|| extents.through_cut.test(n)),
+                            gradient: extents.gradient.as_ref().map(|g| g.lane(n)),
                             spacing: spacing[n],
                         };
                         match self.shade_scalar(&input, direction.lane(n)) {
@@ -172,6 +177,20 @@ impl PacketSampler<'_> {
                 }
             },
         )
+    }
+
+    /// Replaces the values where samples are shaded by those of cubic splines, with their gradients.
+    /// What is visible, and how opaque it is, is decided by trilinear samples, whose sum over a ray
+    /// does not depend on the filter.
+    #[inline(always)]
+    fn apply_cubic_filter<S: Simd>(&self, simd: S, extents: &mut SampleExtents<S>, visible: mask32x8<S>) {
+        let mut gradient = Vec3x8::splat(simd, Vec3::ZERO);
+        for n in lanes_of(visible.to_bitmask()) {
+            let (value, slope) = self.sampler.sample_cubic(extents.entry.in_voxel.lane(n));
+            extents.entry.value[n] = value;
+            gradient.set(n, slope);
+        }
+        extents.gradient = Some(gradient);
     }
 
     /// Which of the samples found are shaded one by one: those near a cut or a face of the volume,

@@ -50,6 +50,8 @@ pub struct PacketSampler<'a> {
     pub(super) grey_faces: bool,
     pub(super) lit: bool,
     pub(super) gradient_opacity: bool,
+    /// Whether visible samples are interpolated by cubic splines.
+    pub(super) cubic: bool,
     /// The table indexed by the values at both ends of a step, if pre-integrated.
     pub(super) preintegrated: Option<Preintegrated>,
 }
@@ -70,6 +72,7 @@ impl<'a> PacketSampler<'a> {
             grey_faces: scene.grey_faces(),
             lit: scene.is_lit(),
             gradient_opacity: scene.uses_gradient_opacity(),
+            cubic: scene.is_cubic(),
             preintegrated: scene.preintegrated().then(|| {
                 Preintegrated::new(
                     &scene.volume().table,

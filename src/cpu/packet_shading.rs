@@ -65,6 +65,7 @@ impl PacketSampler<'_> {
             color: Vec3::new(r, g, b),
             depth,
             value,
+            gradient: input.gradient,
         };
         let shaded = shading::shade(scene, sampler, &sample, input.entered, direction);
         ScalarSample::Visible(shaded.color, shaded.depth_factor)
@@ -89,7 +90,10 @@ impl PacketSampler<'_> {
         let color = self.unlit_color(simd, at, &entry, entered, bits);
         let (mut gradient, mut magnitude, mut factor) = (Vec3x8::splat(simd, Vec3::ZERO), one, one);
         if self.lit || self.gradient_opacity {
-            gradient = self.world_gradient(simd, at, &entry, entered, bits);
+            gradient = match extents.gradient {
+                Some(per_voxel) => per_voxel.mapped(&self.world_from_covector),
+                None => self.world_gradient(simd, at, &entry, entered, bits),
+            };
             magnitude = gradient.length();
         }
         if self.gradient_opacity {
@@ -144,7 +148,7 @@ impl PacketSampler<'_> {
     ) -> Vec3x8<S> {
         let scene = self.scene;
         let mut color = match &self.preintegrated {
-            None if at.with_gradients && !entered.any_true() => at.color,
+            None if at.with_gradients && !self.cubic && !entered.any_true() => at.color,
             None => scene.volume().table.color_lanes(simd, entry.value),
             Some(table) => {
                 let mut color = Vec3x8::splat(simd, Vec3::ZERO);
@@ -358,6 +362,8 @@ pub(super) struct ScalarInput {
     pub(super) entry: (Vec3, Vec3, f32),
     /// If the ray enters material there, whether it does through a cut.
     pub(super) entered: Option<bool>,
+    /// The gradient per voxel there, if it came with the value.
+    pub(super) gradient: Option<Vec3>,
     /// Distance to the neighbouring samples, mm.
     pub(super) spacing: f32,
 }

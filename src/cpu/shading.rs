@@ -69,6 +69,8 @@ pub struct VisibleSample {
     pub depth: f32,
     /// Normalised value.
     pub value: f32,
+    /// Gradient per voxel, if it came with the value.
+    pub gradient: Option<Vec3>,
 }
 
 /// Shades a visible sample, seen along `direction`. `entered`: if the ray enters material there,
@@ -156,8 +158,10 @@ fn shade_point(
             depth_factor: 1.0,
         };
     }
-    let gradient_in_source =
-        world_from_voxel_covector(scene, sampler.gradient(sample.in_voxel, scene.gradient_filter()));
+    let per_voxel = sample
+        .gradient
+        .unwrap_or_else(|| sampler.gradient(sample.in_voxel, scene.gradient_filter()));
+    let gradient_in_source = world_from_voxel_covector(scene, per_voxel);
     let depth_factor = if scene.uses_gradient_opacity() {
         scene.volume().table.gradient_factor(gradient_in_source.length())
     } else {
@@ -336,7 +340,12 @@ pub(super) fn iso_surface(
     } else {
         NearestCut::NONE
     };
-    let gradient = world_from_voxel_covector(scene, sampler.gradient(hit.in_voxel, scene.gradient_filter()));
+    let per_voxel = if scene.is_cubic() {
+        sampler.sample_cubic(hit.in_voxel).1
+    } else {
+        sampler.gradient(hit.in_voxel, scene.gradient_filter())
+    };
+    let gradient = world_from_voxel_covector(scene, per_voxel);
     if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
         let facing = light_cosine_by_derivative(scene, sampler, inside);
         return (color * (scene.light.ambient + scene.light.diffuse * facing)).clamp(Vec3::ZERO, Vec3::ONE);

@@ -49,6 +49,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         volume,
         &[
             "render.normals",
+            "render.filter",
             "render.gradient",
             "render.cut_faces",
             "render.iso",
@@ -76,6 +77,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
             composite,
             &[
                 "render.normals",
+                "render.filter",
                 "render.gradient",
                 "render.cut_faces",
                 "render.iso",
@@ -203,6 +205,16 @@ fn volume_settings(
             "no gradient is needed without shading",
         );
         unless(
+            !prepared.is_cubic(),
+            &["render.gradient"],
+            "cubic interpolation has gradients of its own",
+        );
+        unless(
+            prepared.volume().grid.function.is_none(),
+            &["render.filter"],
+            "a function is not interpolated",
+        );
+        unless(
             prepared.is_lit(),
             &["light.two_sided", "light.specular", "light.shininess"],
             "the volume is not shaded",
@@ -316,6 +328,9 @@ fn changed(scene: &Scene) -> Vec<String> {
             .collect()
     }
     let mut all = of("render", &scene.render, &RenderSettings::default());
+    // Scenes of version 1 are linear without saying so, and where nothing is interpolated by
+    // splines, "linear" asks for nothing else.
+    all.retain(|key| key != "render.filter");
     all.extend(of("light", &scene.light, &Light::default()));
     all.extend(of("surface", &scene.surface, &SurfaceSettings::default()));
     all.extend(of("camera", &scene.camera, &Camera::default()));

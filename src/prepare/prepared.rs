@@ -10,7 +10,7 @@ use crate::deform::cut::CutShapes;
 use crate::math::Bounds;
 use crate::mesh::Mesh;
 use crate::picture::StageTimes;
-use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, SliceOrder, ViewFrame};
+use crate::scene::{CutFaces, Light, Mode, Normals, RenderSettings, SliceOrder, ViewFrame, VolumeFilter};
 use crate::transfer::Blend;
 use crate::volume::{GradientFilter, GradientVolume};
 use glam::Vec3;
@@ -131,6 +131,13 @@ impl<'a> Prepared<'a> {
         self.face_margin_voxels() * self.stack.lipschitz_bound()
     }
 
+    /// Whether visible samples are interpolated by cubic splines.
+    pub fn is_cubic(&self) -> bool {
+        self.settings.filter == VolumeFilter::Cubic
+            && self.volume().blend == Blend::Composite
+            && self.volume().grid.function.is_none()
+    }
+
     /// The gradients of all voxels for one more picture, if it uses them. They are computed for the
     /// second picture of a volume and cached, since a single picture is cheaper without them. The
     /// lighting is the same bit for bit.
@@ -160,7 +167,9 @@ impl<'a> Prepared<'a> {
     }
 
     fn uses_gradients(&self) -> bool {
-        (self.is_lit() || self.uses_gradient_opacity()) && self.gradient_filter() == GradientFilter::Central
+        (self.is_lit() || self.uses_gradient_opacity())
+            && !self.is_cubic()
+            && self.gradient_filter() == GradientFilter::Central
     }
 
     /// The gradient filter.

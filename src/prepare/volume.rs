@@ -172,11 +172,11 @@ impl<'a> VolumeObject<'a> {
         options: &PrepareOptions,
     ) -> Result<Arc<Macrocells>> {
         let settings = &scene.render;
-        if !settings.empty_space_skipping {
-            return Ok(Macrocells::solid(bounds).into());
-        }
         let slant = scene.camera.slant(settings.size);
         let step_back_mm = 1.01 * spacing.step_mm * slant;
+        if !settings.empty_space_skipping {
+            return Ok(Macrocells::solid(bounds.grown(step_back_mm)).into());
+        }
         let grey_faces = settings.cut_faces == CutFaces::Grey;
         let contents = VisibilityCriteria {
             stack: &deformed.stack,

@@ -5,7 +5,7 @@ use crate::deform::cut::CutShapeKind;
 use crate::mesh::deformer::NormalMethod;
 use crate::mesh::formula::CsgOperation;
 use crate::scene::surface::Steps;
-use crate::scene::{IsoLight, Normals};
+use crate::scene::{IsoLight, Normals, VolumeFilter};
 use crate::transfer::Blend;
 use crate::volume::GradientFilter;
 use std::sync::LazyLock;
@@ -20,6 +20,7 @@ macro_rules! constants {
 const VARIANTS: &[(&str, &str, u32)] = constants! {
     "NORMALS" Normals { None, Source, Transformed, Blended }
     "BLEND" Blend { Composite, Mip, Minip, Average }
+    "FILTER" VolumeFilter { Linear, Cubic }
     "GRADIENT" GradientFilter { Central, Sobel }
     "SHAPE" CutShapeKind { HalfSpace, Box, Ellipsoid, Cylinder, Wedge, Cone }
     "FORMULA" FormulaKind {

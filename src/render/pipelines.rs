@@ -31,6 +31,7 @@ impl Context {
             },
             blend: scene.volume().blend,
             gradient: scene.gradient_filter(),
+            cubic: scene.is_cubic() && march,
             slab: if program == Program::Slice {
                 scene.slices_per_slab()
             } else {

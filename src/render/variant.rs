@@ -16,6 +16,7 @@ pub(super) struct Variant {
     pub(super) normals: Normals,
     pub(super) blend: Blend,
     pub(super) gradient: GradientFilter,
+    pub(super) cubic: bool,
     pub(super) slab: u32,
     pub(super) order: SliceOrder,
     pub(super) format: wgpu::TextureFormat,
@@ -36,12 +37,13 @@ pub(super) struct Variant {
 }
 
 /// Values of the shaders' `override` constants.
-pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 15] {
+pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 16] {
     [
         ("MAPS", variant.maps as f64),
         ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
         ("NORMALS", f64::from(variant.normals as u32)),
         ("BLEND", f64::from(variant.blend as u32)),
+        ("FILTER", f64::from(u8::from(variant.cubic))),
         ("GRADIENT", f64::from(variant.gradient as u32)),
         ("SLAB", f64::from(variant.slab)),
         ("PREINTEGRATED", f64::from(u8::from(variant.preintegrated))),

@@ -7,11 +7,12 @@ use toml::{Table, Value};
 /// The first version.
 pub(super) const OLDEST_VERSION: u32 = 1;
 
-/// Brings the table of a scene of version 1 to version 2: pictures without antialiasing, and
-/// presets relative to all values.
+/// Brings the table of a scene of version 1 to version 2: pictures without antialiasing, linear
+/// interpolation, and presets relative to all values.
 pub(super) fn from_version_1(table: &mut Table) {
     table.insert("incise".into(), Value::Integer(2));
     state(section(table, "render"), "antialias", Value::Integer(1));
+    state(section(table, "render"), "filter", Value::String("linear".into()));
     let states_values = |transfer: &Value| {
         let named = transfer.get("preset").and_then(Value::as_str).and_then(preset);
         transfer.get("points").is_some() || named.is_some_and(|p| !p.depends_on_volume())

@@ -7,6 +7,7 @@
 //! NaN or infinite voxel is empty and normalises below 0 (see [`VoxelGrid`]).
 
 mod colors;
+mod cubic;
 mod foreground;
 pub mod function;
 mod gradient;

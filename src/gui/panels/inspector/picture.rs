@@ -7,7 +7,7 @@ use crate::gui::state::request::Requests;
 use crate::scene::surface::SurfaceSettings;
 use crate::scene::{
     BlendFormat, CutFaces, JacobianSource, Light, MapFiltering, Mode, Normals, Projection, RenderSettings,
-    Scene, SliceOrder,
+    Scene, SliceOrder, VolumeFilter,
 };
 use crate::volume::{GradientFilter, Volume};
 use eframe::egui::{self, DragValue, Slider, Ui};
@@ -132,6 +132,12 @@ fn show_shading(ui: &mut Ui, render: &mut RenderSettings, volume: &Volume) {
             (Normals::Source, "source gradients"),
             (Normals::None, "none (unshaded)"),
         ],
+    );
+    choice(
+        ui,
+        "Interpolation",
+        &mut render.filter,
+        &[(VolumeFilter::Cubic, "cubic"), (VolumeFilter::Linear, "linear")],
     );
     choice(
         ui,
