@@ -93,11 +93,13 @@ const PLANE: f32 = 0.2;
 /// Depth of a cut below the lowest part of a flap's surface: scalp and skull of a head.
 const FLAP_DEPTH: f32 = 0.035;
 /// Largest relief of a flap's surface; a flap with more is made smaller.
-const FLAP_RELIEF: f32 = 0.06;
+const FLAP_RELIEF: f32 = 0.07;
 /// Largest thickness of a flap.
-const MAX_FLAP_DEPTH: f32 = 0.12;
+const MAX_FLAP_DEPTH: f32 = 0.14;
 /// Thickness of the layer below a surface that follow it.
 const LAYER_DEPTH: f32 = 0.045;
+/// Depth of an incision, as a fraction of its box's height.
+const INCISION_DEPTH: f32 = 0.85;
 /// A flap's thickness and outer radius, as fractions of its box's height ([`crate::deform`]).
 const FLAP_HEIGHTS: [f32; 2] = [0.35, 0.43];
 /// The layer's lower side, and the margins at the ends and sides of a flap, as fractions of its box.
@@ -121,7 +123,7 @@ fn template(kind: &Kind) -> Option<Template> {
         "bulge" => on(Y, [0.55, 0.55], 0.275, 0.275),
         "peel" => Template::Flap([0.44, 0.36]),
         "seam" => on(X, [0.95, 0.8], 0.4, 0.15),
-        "knife" => on(Y, [0.6, 0.5], 0.18, 0.03),
+        "knife" => on(Y, [0.65, 0.6], 0.18, 0.03),
         "retractor" => on(X, [0.8, 0.55], 0.18, 0.03),
         "sphere" => on(X, [0.42, 0.42], 0.21, 0.21),
         "cylinder" => on(X, [0.3, 0.3], 0.35, 0.15),
@@ -177,6 +179,20 @@ impl VisibleObject {
     pub fn extent_mm(&self) -> f32 {
         let least = self.bounds.size().max_element() * 0.01;
         self.span_mm.min_element().max(least).max(1e-3)
+    }
+
+    /// An object of which only a box is known, as seen from the front.
+    pub fn of_box(bounds: &Bounds) -> Self {
+        let (size, viewer) = (bounds.size(), Vec3::NEG_Y);
+        Self {
+            bounds: *bounds,
+            span_mm: Vec2::new(size.x, size.z),
+            point: bounds.center() + viewer * (0.5 * size.y),
+            surface: Vec::new(),
+            viewer,
+            right: Vec3::X,
+            up: Vec3::Z,
+        }
     }
 
     /// The same object with another point in the middle.
@@ -382,7 +398,7 @@ impl VisibleObject {
         let own_turn = stated.rotate.map(|r| matrix_of(r.into()));
         let turn = own_turn.unwrap_or_else(|| self.hinged(across, up, normal));
         let mut relief = self.relief(&turn, self.point, half);
-        for _ in 0..4 {
+        for _ in 0..2 {
             if relief[1] - relief[0] <= FLAP_RELIEF * extent {
                 break;
             }
@@ -464,6 +480,7 @@ impl Deformation {
                 state("depth", depth * size.z);
                 state("radius", radius * size.z);
             }
+            "knife" | "retractor" => state("depth", INCISION_DEPTH * size.z),
             "strip" | "lift" | "surface-peel" => state("depth", LAYER_DEPTH * object.extent_mm()),
             _ => {}
         }
