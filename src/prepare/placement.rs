@@ -93,10 +93,30 @@ fn seen(prepared: &Prepared, rays: &CoarseRays) -> Option<VisibleObject> {
         span_mm: Vec2::new(across, along),
         point,
         surface: hits.iter().map(|hit| hit.point).collect(),
+        value: surface_value(prepared, &hits, viewer),
         viewer,
         right,
         up,
     })
+}
+
+/// The volume's value at its visible surface, data units: halfway between the values in front of it
+/// and behind it.
+fn surface_value(prepared: &Prepared, hits: &[SeenPoint], viewer: Vec3) -> Option<f32> {
+    if !prepared.shows_volume() {
+        return None;
+    }
+    let volume = prepared.volume();
+    let median = |steps: f32| {
+        let shift = viewer * (steps * prepared.frame.spacing.reference_mm);
+        let at = |hit: &SeenPoint| volume.value_at(hit.point + shift);
+        let mut values: Vec<f32> = hits.iter().filter_map(at).collect();
+        values.sort_by(f32::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let value = f64::from(0.5 * (median(1.5)? + median(-1.5)?));
+    let [low, high] = volume.value_range;
+    Some((low + value * (high - low)) as f32)
 }
 
 /// The extent of points along an axis, without one per cent at both ends, mm.

@@ -157,7 +157,7 @@ impl<'a> VolumeObject<'a> {
 
     /// The value of the voxel nearest to a point of the undeformed scene; none outside the volume
     /// and in its holes.
-    fn value_at(&self, source: Vec3) -> Option<f32> {
+    pub(super) fn value_at(&self, source: Vec3) -> Option<f32> {
         let p = self.voxel_from_world.transform_point3(source);
         if !self.is_present || p.cmplt(Vec3::splat(-0.5)).any() || p.cmpgt(self.grid_size - 0.5).any() {
             return None;

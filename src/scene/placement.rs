@@ -39,6 +39,8 @@ pub struct VisibleObject {
     pub point: Vec3,
     /// Points all over the part of the surface that the picture shows.
     pub surface: Vec<Vec3>,
+    /// The volume's value at the surface, data units; none if no volume is seen.
+    pub value: Option<f32>,
     /// Unit vector towards the viewer.
     pub viewer: Vec3,
     /// Unit vectors to the right and up in the picture.
@@ -95,9 +97,13 @@ const FLAP_DEPTH: f32 = 0.035;
 /// Largest relief of a flap's surface; a flap with more is made smaller.
 const FLAP_RELIEF: f32 = 0.07;
 /// Largest thickness of a flap.
-const MAX_FLAP_DEPTH: f32 = 0.14;
+const MAX_FLAP_DEPTH: f32 = 0.15;
 /// Thickness of the layer below a surface that follow it.
 const LAYER_DEPTH: f32 = 0.045;
+/// Depth of a cone's tip below the surface.
+const CONE_DEPTH: f32 = 0.6;
+/// Movement of a surface that is pushed out.
+const OFFSET: f32 = 0.06;
 /// Depth of an incision, as a fraction of its box's height.
 const INCISION_DEPTH: f32 = 0.85;
 /// A flap's thickness and outer radius, as fractions of its box's height ([`crate::deform`]).
@@ -117,27 +123,27 @@ fn template(kind: &Kind) -> Option<Template> {
         above,
     };
     Some(match kind.name {
-        "pull" => on(Y, [0.5, 0.5], 0.2, 0.3),
-        "spline-pull" => on(Y, [0.55, 0.55], 0.25, 0.4),
+        "pull" => on(Y, [0.8, 0.8], 0.25, 0.4),
+        "spline-pull" => on(Y, [0.85, 0.85], 0.4, 0.6),
         "wave" | "planar-wave" => on(X, [0.85, 0.85], 0.35, 0.35),
-        "bulge" => on(Y, [0.55, 0.55], 0.275, 0.275),
-        "peel" => Template::Flap([0.44, 0.36]),
+        "bulge" => on(Y, [0.9, 0.9], 0.65, 0.25),
+        "peel" => Template::Flap([0.48, 0.4]),
         "seam" => on(X, [0.95, 0.8], 0.4, 0.15),
-        "knife" => on(Y, [0.65, 0.6], 0.18, 0.03),
-        "retractor" => on(X, [0.8, 0.55], 0.18, 0.03),
-        "sphere" => on(X, [0.42, 0.42], 0.21, 0.21),
-        "cylinder" => on(X, [0.3, 0.3], 0.35, 0.15),
-        "strip" => on(Y, [0.5, 0.45], 0.25, 0.2),
-        "lift" => on(Y, [0.7, 0.6], 0.3, 0.3),
-        "offset" => on(Y, [0.8, 0.8], 0.4, 0.4),
-        "surface-peel" => on(Y, [0.5, 0.45], 0.3, 0.3),
+        "knife" => on(Y, [0.85, 0.75], 0.2, 0.03),
+        "retractor" => on(X, [1.0, 0.7], 0.2, 0.03),
+        "sphere" => on(X, [0.5, 0.5], 0.25, 0.25),
+        "cylinder" => on(X, [0.45, 0.45], 0.5, 0.2),
+        "strip" => on(Y, [0.65, 0.55], 0.3, 0.2),
+        "lift" => on(Y, [0.9, 0.8], 0.35, 0.4),
+        "offset" => on(Y, [1.0, 1.0], 0.45, 0.5),
+        "surface-peel" => on(Y, [0.6, 0.5], 0.3, 0.3),
         "elastic" => on(X, [0.6, 0.6], 0.45, 0.15),
         "slab" => Template::Upright,
         "book" => Template::Facing,
         "box" => Template::Corner,
         "wedge" => Template::Wedge,
         "half-space" => Template::Plane,
-        "view-sphere" => Template::View(0.42),
+        "view-sphere" => Template::View(0.5),
         "view-cone" => Template::Cone,
         "twist" | "bend" | "taper" | "shear" | "explode" | "lattice" => Template::Around,
         _ => return None,
@@ -166,6 +172,20 @@ fn tidy_length(mm: f32) -> f32 {
     tidy(Vec3::splat(mm))[0]
 }
 
+/// The range, of at most a given width, that holds most of some numbers in order; an end without
+/// many of them is left out.
+fn densest(sorted: &[f32], width: f32) -> [f32; 2] {
+    let (margin, n) = (sorted.len() / 50, sorted.len());
+    let inner = &sorted[margin..n - margin];
+    let ranges = inner.iter().enumerate().map(|(first, low)| {
+        let count = inner[first..].partition_point(|v| *v <= low + width);
+        (count, [*low, inner[first + count - 1]])
+    });
+    ranges
+        .max_by_key(|(count, _)| *count)
+        .map_or([0.0; 2], |(_, range)| range)
+}
+
 /// Where a box lies: its axes as columns, its centre and its extents, mm.
 #[derive(Clone, Copy, Debug)]
 struct BoxLayout {
@@ -189,6 +209,7 @@ impl VisibleObject {
             span_mm: Vec2::new(size.x, size.z),
             point: bounds.center() + viewer * (0.5 * size.y),
             surface: Vec::new(),
+            value: None,
             viewer,
             right: Vec3::X,
             up: Vec3::Z,
@@ -237,9 +258,8 @@ impl VisibleObject {
         [across, normal.cross(across), normal]
     }
 
-    /// The lowest and the highest of the surface along the box's z within a rectangle about a
-    /// point, mm; single outliers do not count.
-    fn relief(&self, turn: &Mat3, point: Vec3, half: Vec2) -> [f32; 2] {
+    /// Heights of the surface along the box's z within a rectangle about a point, mm, in order.
+    fn heights(&self, turn: &Mat3, point: Vec3, half: Vec2) -> Vec<f32> {
         let from_world = turn.transpose();
         let reach = 0.25 * self.extent_mm();
         let mut heights: Vec<f32> = self
@@ -249,14 +269,9 @@ impl VisibleObject {
             .filter(|q| q.x.abs() <= half.x && q.y.abs() <= half.y && q.z.abs() <= reach)
             .map(|q| q.z)
             .collect();
+        heights.push(0.0);
         heights.sort_by(f32::total_cmp);
-        match heights.len() {
-            0 => [0.0; 2],
-            n => [
-                heights[(n - 1) / 20].min(0.0),
-                heights[n - 1 - (n - 1) / 50].max(0.0),
-            ],
-        }
+        heights
     }
 
     /// The axes of the world, the one nearest to `z` last and, among the others, the one nearest to
@@ -293,14 +308,25 @@ impl VisibleObject {
         }
     }
 
-    /// The sign of each of the world's axes in the octant that faces the viewer: nearer, else
-    /// higher, else further right in the picture.
+    /// The sign of each of the world's axes in the octant that faces the viewer. Across the view it
+    /// is the one with the most surface; the upper right one if they are alike.
     fn facing_octant(&self) -> Vec3 {
-        Vec3::from_array(std::array::from_fn(|a| {
-            let towards = [(self.viewer, 0.25), (self.up, 0.5), (self.right, 0.0)];
-            let first = towards.into_iter().find(|(v, least)| v[a].abs() > *least);
-            first.map_or(1.0, |(v, _)| v[a].signum())
-        }))
+        let center = self.bounds.center();
+        let octant = |n: usize| Vec3::from([0, 1, 2].map(|a| if n >> a & 1 == 0 { 1.0 } else { -1.0 }));
+        let faces = |signs: &Vec3| {
+            let away = (0..3).any(|a| self.viewer[a].abs() > 0.25 && self.viewer[a] * signs[a] < 0.0);
+            !away
+        };
+        let weight = |signs: &Vec3| {
+            let count = self.surface.iter().filter(|p| ((**p - center) * *signs).cmpge(Vec3::ZERO).all());
+            let higher = if self.up.dot(*signs) > 0.0 { 1.5 } else { 1.0 };
+            let righter = if self.right.dot(*signs) > 0.0 { 1.2 } else { 1.0 };
+            (1 + count.count()) as f32 * higher * righter
+        };
+        let facing = (0..8).map(octant).filter(faces);
+        facing
+            .max_by(|a, b| weight(a).total_cmp(&weight(b)))
+            .unwrap_or(Vec3::ONE)
     }
 
     /// The box of a kind, with the numbers that are stated.
@@ -324,7 +350,8 @@ impl VisibleObject {
                 let turn = own_turn.unwrap_or(turn);
                 let mut above = above * extent;
                 if kind.nonzero_faces[5] {
-                    above += self.relief(&turn, self.point, size / 2.0)[1];
+                    let heights = self.heights(&turn, self.point, size / 2.0);
+                    above += heights.last().copied().unwrap_or_default();
                 }
                 let below = below * extent;
                 let size = stated.size.map_or(size.extend(above + below), Size::xyz);
@@ -367,7 +394,7 @@ impl VisibleObject {
             }
             Template::Cone => BoxLayout {
                 turn: Mat3::IDENTITY,
-                center: self.point - self.viewer * (0.35 * extent),
+                center: self.point - self.viewer * (CONE_DEPTH * extent),
                 size: box_size,
             },
             Template::View(share) => BoxLayout {
@@ -382,7 +409,7 @@ impl VisibleObject {
     /// viewer sees from: a flap is rolled towards -x and would hide what lies behind it. Upwards if
     /// the surface faces the viewer: a flap hangs down.
     fn hinged(&self, across: Vec3, up: Vec3, normal: Vec3) -> Mat3 {
-        if self.viewer.dot(up) < -0.15 {
+        if self.viewer.dot(up) < -0.4 {
             Mat3::from_cols(-up, across, normal)
         } else {
             Mat3::from_cols(up, -across, normal)
@@ -397,17 +424,18 @@ impl VisibleObject {
         let [across, up, normal] = self.tangent_axes(self.normal(half.max_element()));
         let own_turn = stated.rotate.map(|r| matrix_of(r.into()));
         let turn = own_turn.unwrap_or_else(|| self.hinged(across, up, normal));
-        let mut relief = self.relief(&turn, self.point, half);
-        for _ in 0..2 {
-            if relief[1] - relief[0] <= FLAP_RELIEF * extent {
-                break;
-            }
-            half *= 0.85;
-            relief = self.relief(&turn, self.point, half);
+        let relief = |half| {
+            let heights = self.heights(&turn, self.point, half);
+            densest(&heights, (MAX_FLAP_DEPTH - FLAP_DEPTH) * extent)
+        };
+        let mut range = relief(half);
+        if range[1] - range[0] > FLAP_RELIEF * extent {
+            half *= 0.8;
+            range = relief(half);
         }
-        let [low, high] = relief;
+        let [low, high] = range;
         let number = |name: &str| stated.parameters.number(name).ok().flatten();
-        let depth = (high - low + FLAP_DEPTH * extent).min(MAX_FLAP_DEPTH * extent);
+        let depth = high - low + FLAP_DEPTH * extent;
         let height = number("depth").unwrap_or(depth) / FLAP_HEIGHTS[0];
         let radius = number("radius").unwrap_or(FLAP_HEIGHTS[1] * height);
         let inner = 1.0 - 2.0 * FLAP_MARGIN;
@@ -482,7 +510,15 @@ impl Deformation {
             }
             "knife" | "retractor" => state("depth", INCISION_DEPTH * size.z),
             "strip" | "lift" | "surface-peel" => state("depth", LAYER_DEPTH * object.extent_mm()),
+            "offset" => state("amount", OFFSET * object.extent_mm()),
             _ => {}
+        }
+        let follows_surface = matches!(kind.name, "strip" | "lift" | "surface-peel" | "offset");
+        let states_surface = ["label", "mask", "iso"]
+            .iter()
+            .any(|name| self.parameters.0.contains_key(*name));
+        if let Some(value) = object.value.filter(|_| follows_surface && !states_surface) {
+            self.parameters.insert("iso", value);
         }
     }
 }
@@ -518,6 +554,7 @@ mod tests {
             span_mm: Vec2::splat(160.0),
             point: viewer * 80.0,
             surface: grid.filter_map(on_ball).collect(),
+            value: None,
             viewer,
             right,
             up,
