@@ -141,7 +141,8 @@ fn main() {
     all.extend(trials!(defaults:
         the_first_picture_shows_the_object, the_range_alone_shows_a_box, shifted_hounsfield_units_are_recognised));
     all.extend(trials!(placement:
-        every_kind_shows_without_numbers, placed_numbers_stay, version_1_keeps_the_volumes_box,
+        every_kind_shows_without_numbers, sampling_moves_nothing, placed_numbers_stay,
+        version_1_keeps_the_volumes_box,
         what_is_visible_is_found, what_is_not_seen_is_named));
     all.extend(trials!(settings:
         every_setting_acts, settings_without_effect_are_named, every_setting_is_tested));

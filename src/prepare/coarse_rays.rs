@@ -106,7 +106,9 @@ impl<'a> CoarseRays<'a> {
     /// The first point of a surface.
     fn surface_hit(&self, object: &SurfaceObject, origin: Vec3, direction: Vec3) -> Option<f32> {
         if let Some(triangles) = &object.triangles {
-            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true);
+            let hit = triangles
+                .tree
+                .ray(origin, direction, 0.0, f32::INFINITY, |_| true);
             return hit.map(|h| h.t);
         }
         let implicit = object.implicit.as_ref()?;
@@ -119,7 +121,11 @@ impl<'a> CoarseRays<'a> {
                 return Some(t);
             }
             // A distance field is at least this far from its surface.
-            t += if implicit.is_distance() { (-f).max(step) } else { step };
+            t += if implicit.is_distance() {
+                (-f).max(step)
+            } else {
+                step
+            };
         }
         None
     }

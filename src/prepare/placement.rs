@@ -12,7 +12,7 @@ use super::prepared::Prepared;
 use crate::Result;
 use crate::deform::kinds;
 use crate::math::{Bounds, normalize_or};
-use crate::scene::{Antialias, DefaultPlacement, Deformation, Scene, VisibleObject};
+use crate::scene::{Antialias, DefaultPlacement, Deformation, Mode, RenderSettings, Scene, VisibleObject};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -54,8 +54,17 @@ pub fn visible_object(scene: &Scene, assets: &Assets) -> Result<Option<VisibleOb
     bare.deformation.clear();
     let [width, height] = scene.render.size.map(|n| n.max(1));
     let longer = width.max(height);
-    bare.render.size = [width, height].map(|n| (RAYS * n).div_ceil(longer).max(1));
-    (bare.render.antialias, bare.render.precompose) = (Antialias::OFF, None);
+    // How pictures are sampled must not move anything: only what is shown counts.
+    bare.render = RenderSettings {
+        size: [width, height].map(|n| (RAYS * n).div_ceil(longer).max(1)),
+        antialias: Antialias::OFF,
+        mode: match scene.render.mode {
+            Mode::Surface => Mode::Surface,
+            Mode::Slice | Mode::Raycast => Mode::Raycast,
+        },
+        iso: scene.render.iso,
+        ..RenderSettings::default()
+    };
     let prepared = Prepared::with(&bare, assets, &PrepareOptions::default())?;
     let rays = CoarseRays::new(&prepared);
     Ok(seen(&prepared, &rays))

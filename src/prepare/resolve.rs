@@ -67,8 +67,7 @@ impl<'a> Prepared<'a> {
     pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
         scene.check()?;
         let mut stages = StageTimes::default();
-        let placed = stages.time("placement", || placed(scene, assets))?;
-        let scene = &*placed;
+        let scene = &*stages.time("placement", || placed(scene, assets))?;
         let settings = scene.render.clone();
         let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
         let scene_box = assets.scene_box();

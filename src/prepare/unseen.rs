@@ -161,7 +161,9 @@ impl<'a> DeformedPair<'a> {
             .filter(|o| o.rigid || o.implicit.is_none())
             .filter_map(|o| {
                 let triangles = o.triangles.as_ref()?;
-                triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |_| true)
+                triangles
+                    .tree
+                    .ray(origin, direction, 0.0, f32::INFINITY, |_| true)
             })
             .map(|hit| hit.t)
             .fold(far, f32::min);

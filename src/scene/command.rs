@@ -69,7 +69,10 @@ pub fn deform_argument(deformation: &Deformation) -> String {
         Storage::F32 => "f32",
     });
     let common = [
-        ("placement", (*placement == DefaultPlacement::Volume).then(|| "volume".to_owned())),
+        (
+            "placement",
+            (*placement == DefaultPlacement::Volume).then(|| "volume".to_owned()),
+        ),
         ("center", center.map(list)),
         (
             "size",

@@ -90,12 +90,14 @@ enum Horizontal {
     Y,
 }
 
-/// Part of an object's extent, beyond the half, that a quadrant or a plane at its middle leaves.
+/// Distance of a plane from the object's middle, towards the viewer, as a share of its extent.
 const PLANE: f32 = 0.2;
 /// Depth of a cut below the lowest part of a flap's surface: scalp and skull of a head.
-const FLAP_DEPTH: f32 = 0.035;
+const FLAP_DEPTH: f32 = 0.026;
 /// Largest relief of a flap's surface; a flap with more is made smaller.
 const FLAP_RELIEF: f32 = 0.07;
+/// A smaller flap, relative to the full one.
+const SMALLER_FLAP: f32 = 0.8;
 /// Largest thickness of a flap.
 const MAX_FLAP_DEPTH: f32 = 0.15;
 /// Thickness of the layer below a surface that follow it.
@@ -127,7 +129,7 @@ fn template(kind: &Kind) -> Option<Template> {
         "spline-pull" => on(Y, [0.85, 0.85], 0.4, 0.6),
         "wave" | "planar-wave" => on(X, [0.85, 0.85], 0.35, 0.35),
         "bulge" => on(Y, [0.9, 0.9], 0.65, 0.25),
-        "peel" => Template::Flap([0.48, 0.4]),
+        "peel" => Template::Flap([0.52, 0.43]),
         "seam" => on(X, [0.95, 0.8], 0.4, 0.15),
         "knife" => on(Y, [0.85, 0.75], 0.2, 0.03),
         "retractor" => on(X, [1.0, 0.7], 0.2, 0.03),
@@ -219,7 +221,10 @@ impl VisibleObject {
     /// The same object with another point in the middle.
     #[must_use]
     pub fn about(&self, point: Vec3) -> Self {
-        Self { point, ..self.clone() }
+        Self {
+            point,
+            ..self.clone()
+        }
     }
 
     /// The unit normal at the point: of the plane that fits the surface within a radius best, so
@@ -318,7 +323,10 @@ impl VisibleObject {
             !away
         };
         let weight = |signs: &Vec3| {
-            let count = self.surface.iter().filter(|p| ((**p - center) * *signs).cmpge(Vec3::ZERO).all());
+            let count = self
+                .surface
+                .iter()
+                .filter(|p| ((**p - center) * *signs).cmpge(Vec3::ZERO).all());
             let higher = if self.up.dot(*signs) > 0.0 { 1.5 } else { 1.0 };
             let righter = if self.right.dot(*signs) > 0.0 { 1.2 } else { 1.0 };
             (1 + count.count()) as f32 * higher * righter
@@ -430,8 +438,11 @@ impl VisibleObject {
         };
         let mut range = relief(half);
         if range[1] - range[0] > FLAP_RELIEF * extent {
-            half *= 0.8;
-            range = relief(half);
+            // A dome is flatter in a smaller flap; a rough surface is not.
+            let smaller = relief(half * SMALLER_FLAP);
+            if smaller[1] - smaller[0] < 0.85 * (range[1] - range[0]) {
+                (half, range) = (half * SMALLER_FLAP, smaller);
+            }
         }
         let [low, high] = range;
         let number = |name: &str| stated.parameters.number(name).ok().flatten();
@@ -445,7 +456,11 @@ impl VisibleObject {
         let opening = (0.5 - FLAP_MARGIN) * size.x - half.x.min(0.25 * size.x);
         // With a stated size the kind's own default thickness applies.
         let share = number("depth").map_or(
-            if stated.size.is_some() { 0.25 } else { FLAP_HEIGHTS[0] },
+            if stated.size.is_some() {
+                0.25
+            } else {
+                FLAP_HEIGHTS[0]
+            },
             |depth| depth / size.z,
         );
         let top = (FLAP_FLOOR + share - 0.5) * size.z;
@@ -571,10 +586,7 @@ mod tests {
                 d.place(kind, &object);
                 assert!(!d.follows_view(kind), "{}: all its numbers are stated", kind.name);
                 let turn = matrix_of(d.rotate.map_or(Vec3::ZERO, Vec3::from));
-                if matches!(
-                    template(kind),
-                    Some(Template::Surface { .. } | Template::Flap(_))
-                ) {
+                if matches!(template(kind), Some(Template::Surface { .. } | Template::Flap(_))) {
                     assert!(
                         (turn * Vec3::Z).abs_diff_eq(viewer, 0.02),
                         "{} {viewer}",

@@ -421,7 +421,13 @@ impl Kind {
         for (name, value) in given {
             let Some(n) = self.parameters.iter().position(|p| p.name == name) else {
                 let common = [
-                    "placement", "center", "size", "rotate", "progress", "storage", "resolution",
+                    "placement",
+                    "center",
+                    "size",
+                    "rotate",
+                    "progress",
+                    "storage",
+                    "resolution",
                 ];
                 let valid_names = self
                     .parameters

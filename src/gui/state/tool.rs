@@ -138,9 +138,7 @@ pub fn dropped(kind: &'static Kind, scene_box: &Bounds, object: &VisibleObject) 
     let mut deformation = Deformation::new(kind.name);
     deformation.place(kind, object);
     let across = matches!(kind.size, DefaultSize::Across(_));
-    let center = *deformation
-        .center
-        .get_or_insert_with(|| tidy(scene_box.center()));
+    let center = *deformation.center.get_or_insert_with(|| tidy(scene_box.center()));
     if !across {
         let size = kind.default_size(scene_box);
         deformation.size.get_or_insert(Size::Box(tidy(size)));
