@@ -94,6 +94,11 @@ fn brain(p: Vec3) -> f32 {
     }
 }
 
+/// The volume of [`brain`].
+pub fn bare_brain() -> Volume {
+    bytes(volume_of(brain, 0.0))
+}
+
 /// A cell on the bright field of a microscope.
 fn cell(p: Vec3) -> f32 {
     match p {

@@ -11,7 +11,7 @@ use incise::picture::Picture;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy, Work};
 use incise::scene::surface::{MeshSource, Representation, ShapeSource};
-use incise::scene::{Antialias, Deformation, Mode, Projection, Scene};
+use incise::scene::{Antialias, DefaultPlacement, Deformation, Mode, Projection, Scene};
 
 /// Two displacement maps over a small head.
 fn scene(mode: Mode) -> Scene {
@@ -21,6 +21,8 @@ fn scene(mode: Mode) -> Scene {
     for kind in ["twist", "peel"] {
         let mut deformation = Deformation::new(kind);
         (deformation.resolution, deformation.center) = (Some(16), Some([0.0, 0.0, 20.0]));
+        // An edit of the colours would place them again.
+        deformation.placement = DefaultPlacement::Volume;
         scene.deformation.push(deformation);
     }
     scene

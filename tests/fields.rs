@@ -12,7 +12,7 @@ use incise::deform::{Arguments, Stack, StackAndCuts, Storage, invert};
 use incise::export::bake::{self, Interpolation};
 use incise::prepare::{Assets, Prepared};
 use incise::prepare::{StackInputs, stack};
-use incise::scene::{Deformation, Scene};
+use incise::scene::{DefaultPlacement, Deformation, Scene};
 use incise::volume::save::{self, Content, Format};
 use incise::volume::{GridGeometry, Rescale, Volume, load};
 use std::path::{Path, PathBuf};
@@ -439,11 +439,17 @@ pub fn live_is_the_baked_picture() {
     scene.transfer.preset = Some("mr-default".into());
     scene.render.size = [256, 256];
     scene.camera.view = "40,24".parse().unwrap();
-    let twist = Deformation {
-        parameters: Arguments::from([("angle", 40.0.into())]),
-        ..Deformation::new("twist")
+    // In the middle of the volume, so that nothing is pushed out of its grid.
+    let in_middle = |kind: &str, parameters: Arguments| Deformation {
+        placement: DefaultPlacement::Volume,
+        parameters,
+        ..Deformation::new(kind)
     };
-    scene.deformation = vec![twist, Deformation::new("spline-pull")];
+    let angle = Arguments::from([("angle", 40.0.into())]);
+    scene.deformation = vec![
+        in_middle("twist", angle),
+        in_middle("spline-pull", Arguments::default()),
+    ];
     let own = assets(&scene);
     let live = picture(&Prepared::new(&scene, &own).unwrap());
     for (interpolation, least) in [(Interpolation::Linear, 35.0), (Interpolation::Cubic, 35.0)] {

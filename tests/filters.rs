@@ -14,6 +14,7 @@ fn scenes() -> Vec<(String, Scene)> {
         .map(|name| (name.to_owned(), load(name)))
         .collect();
     let mut round = Deformation::new("slab");
+    round.placement = incise::scene::DefaultPlacement::Volume;
     round.parameters.insert("mapping", "cylindrical");
     let mut scene = Scene::of_volume("phantom:head-ct:size=64");
     scene.deformation = vec![round];

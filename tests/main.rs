@@ -31,6 +31,7 @@ mod metrics;
 mod nifti;
 #[cfg(feature = "gpu")]
 mod parity;
+mod placement;
 mod readers;
 mod scenes;
 mod settings;
@@ -139,6 +140,10 @@ fn main() {
         adaptive_pictures_approach_the_average, adaptive_pictures_are_the_same_on_any_number_of_threads));
     all.extend(trials!(defaults:
         the_first_picture_shows_the_object, the_range_alone_shows_a_box, shifted_hounsfield_units_are_recognised));
+    all.extend(trials!(placement:
+        every_kind_shows_without_numbers, sampling_moves_nothing, placed_numbers_stay,
+        version_1_keeps_the_volumes_box,
+        what_is_visible_is_found, what_is_not_seen_is_named));
     all.extend(trials!(settings:
         every_setting_acts, settings_without_effect_are_named, every_setting_is_tested));
     all.extend(trials!(mapping:

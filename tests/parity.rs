@@ -375,6 +375,7 @@ fn options_agree() {
     });
     add("round an axis", &|s| {
         let mut shells = Deformation::new("slab");
+        shells.placement = incise::scene::DefaultPlacement::Volume;
         shells.parameters.insert("mapping", "cylindrical");
         s.deformation.push(shells);
     });

@@ -2,7 +2,7 @@
 
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::{Argument, Storage};
-use crate::scene::{Deformation, Scene, Size};
+use crate::scene::{DefaultPlacement, Deformation, Scene, Size};
 use crate::volume::load::{RawLayout, ReadOptions};
 use crate::{Error, Result};
 use clap::Args;
@@ -190,6 +190,13 @@ pub fn deformation(text: &str) -> Result<Deformation> {
                     ["f32"] => Storage::F32,
                     _ => return Err(option("storage is one of f16, snorm16, snorm8, f32".into())),
                 });
+            }
+            "placement" => {
+                deformation.placement = match values[..] {
+                    ["visible"] => DefaultPlacement::Visible,
+                    ["volume"] => DefaultPlacement::Volume,
+                    _ => return Err(option("placement is visible or volume".into())),
+                };
             }
             "center" => deformation.center = Some(three()?),
             "rotate" => deformation.rotate = Some(three()?),

@@ -4,12 +4,14 @@ use super::arguments;
 use super::progress::TerminalProgress;
 use crate::files::OutputFile;
 use crate::files::path_text::{path_of, text_of};
-use crate::prepare::{Assets, IdleSetting, LoadOptions};
+use crate::prepare::{Assets, IdleSetting, LoadOptions, placement};
+use crate::scene::command::deform_argument;
 use crate::scene::surface::CutModel;
 use crate::scene::{Antialias, Camera, InsideMesh, Mode, Projection, Scene, View, VolumeFilter};
 use crate::volume::load::Origin;
 use crate::{Error, Result};
 use clap::{Args, ValueEnum};
+use std::borrow::Cow;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -111,7 +113,8 @@ pub struct Common {
     /// Window level: the centre of that range.
     #[arg(long, allow_hyphen_values = true)]
     level: Option<f64>,
-    /// Add a deformation after the scene's own; repeat for more, applied in order.
+    /// Add a deformation after the scene's own; repeat for more, applied in order. Without center
+    /// and size it lies on the visible surface in the middle of the view; -v prints the numbers.
     #[arg(long, value_name = "KIND[:name=value,...]")]
     deform: Vec<OsString>,
     /// Replace all deformations by one precomputed map wherever its error is at most this, mm.
@@ -145,7 +148,7 @@ pub struct Common {
     /// No notices, no progress.
     #[arg(short, long)]
     pub quiet: bool,
-    /// Print a summary.
+    /// Print a summary, and the numbers chosen for deformations that leave them out.
     #[arg(short, long)]
     pub verbose: bool,
 }
@@ -359,6 +362,29 @@ impl Common {
         )?;
         self.report(warnings(scene, &assets));
         Ok(assets)
+    }
+
+    /// The scene with the numbers of every deformation that leaves them out; with -v they are
+    /// printed as options.
+    ///
+    /// # Errors
+    /// Any invalid setting, by name.
+    pub fn placed(&self, scene: Scene, assets: &Assets) -> Result<Scene> {
+        let placed = match placement::placed(&scene, assets)? {
+            Cow::Borrowed(_) => return Ok(scene),
+            Cow::Owned(placed) => placed,
+        };
+        let changed = placed
+            .deformation
+            .iter()
+            .zip(&scene.deformation)
+            .filter(|(placed, own)| placed != own);
+        if self.verbose {
+            for (deformation, _) in changed {
+                super::print_to_stderr(format_args!("--deform {}", deform_argument(deformation)));
+            }
+        }
+        Ok(placed)
     }
 
     /// Prints notices to stderr, unless quiet.

@@ -336,7 +336,7 @@ impl CompareArguments {
 /// Renders, compares, writes.
 pub fn run(arguments: &CompareArguments) -> Result<()> {
     let common = &arguments.common;
-    let plan = arguments.plan()?;
+    let mut plan = arguments.plan()?;
     // A GPU may be missing; errors in the options are reported before one is opened.
     plan.check(1)?;
     arguments.check_output(&plan.scene)?;
@@ -355,6 +355,8 @@ pub fn run(arguments: &CompareArguments) -> Result<()> {
     };
     let bar = TerminalProgress::new(common.quiet);
     let assets = common.load(&plan.loading(), &bar)?;
+    // Placed once: every camera and mode shows the same deformation.
+    plan.scene = common.placed(plan.scene, &assets)?;
     if let Some(file) = &stats_file {
         file.check()?;
     }

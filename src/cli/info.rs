@@ -262,7 +262,9 @@ pub fn catalogue() -> String {
     }
     out.push_str(
         "\nDeformations (--deform KIND:name=value,...); every kind accepts center, size (not where\n\
-         noted), rotate, storage, add, spare, labels, mapping and fade; every kind except map also resolution\n",
+         noted), rotate, storage, add, spare, labels, mapping and fade; every kind except map also resolution;\n\
+         without center and size a kind lies on the visible surface, or about the volume's centre with\n\
+         placement=volume\n",
     );
     for k in kinds::list() {
         out.push_str(&format!("  {:<22} {}{}\n", k.name, k.about, notes(k)));

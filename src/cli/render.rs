@@ -8,7 +8,7 @@ use crate::export::dicom::{self, is_dicom_name};
 use crate::export::protect;
 use crate::files::{OutputFile, check_distinct, memory};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
-use crate::prepare::{Prepared, idle_settings};
+use crate::prepare::{Prepared, idle_settings, unseen_deformations};
 use crate::scene::{MapFiltering, Scene};
 use crate::volume::load::Origin;
 use crate::{Error, Result, Watch};
@@ -45,6 +45,7 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
     common.use_threads()?;
     let bar = TerminalProgress::new(common.quiet);
     let assets = common.load(&scene, &bar)?;
+    let scene = common.placed(scene, &assets)?;
     let origin = if arguments.patient {
         dicom::origin(&scene, &assets.volume, &Watch::NONE)?
     } else {
@@ -62,8 +63,12 @@ pub fn run(arguments: &RenderArguments) -> Result<()> {
         ..EngineOptions::default()
     })?;
     let preparing = |share| bar.set("preparing", share);
-    let prepared = engine.prepare(&scene, &assets, &Watch::reporting(&preparing))?;
+    let mut prepared = engine.prepare(&scene, &assets, &Watch::reporting(&preparing))?;
     common.check_effects(&idle_settings(&prepared, &scene))?;
+    if !scene.deformation.is_empty() {
+        let unseen = unseen_deformations(&scene, &assets, &prepared)?;
+        prepared.notices.extend(unseen);
+    }
     common.report(assets.library.notices());
     let needs_stats = common.stats.is_some() || common.json;
     let rendering = |share| bar.set("rendering", share);

@@ -224,6 +224,11 @@ impl Workstation {
                 }
             }
             ProbePurpose::Tool => self.use_tool(ctx, pick),
+            ProbePurpose::Place => {
+                if let Tool::Place(kind) = self.tool {
+                    self.place(kind.0, pick.map(|p| p.deformed), answer.object);
+                }
+            }
             ProbePurpose::Brush { last } => {
                 if let Some(p) = pick {
                     self.extend_stroke(p.deformed);

@@ -14,7 +14,7 @@ use crate::deform::quality::CheckedField;
 use crate::deform::{Argument, PlacedMap};
 use crate::prepare::Deformed;
 use crate::scene::measure::{Measure, MeasureKind};
-use crate::scene::{Mode, Projection};
+use crate::scene::{Mode, Projection, VisibleObject};
 use eframe::egui::{self, Context};
 use glam::{Vec2, Vec3};
 
@@ -276,7 +276,6 @@ impl Workstation {
     /// Applies the armed tool at a picked point.
     pub(super) fn use_tool(&mut self, ctx: &Context, pick: Option<Pick>) {
         match self.tool {
-            Tool::Place(kind) => self.place(kind.0, pick.map(|p| (p.deformed, p.normal))),
             Tool::Probe | Tool::Measure(_) => match pick {
                 Some(p) => self.take_point(p.deformed, p.source),
                 None => self.report(LogLevel::Info, "Nothing is visible at that point"),
@@ -332,14 +331,17 @@ impl Workstation {
         });
     }
 
-    /// Places a deformation on a surface or about the centre of the scene, and selects it.
-    pub fn place(&mut self, kind: &'static Kind, at: Option<(Vec3, Vec3)>) {
+    /// Places a deformation on what is visible, at a point or in the middle of the view, and
+    /// selects it.
+    pub fn place(&mut self, kind: &'static Kind, at: Option<Vec3>, object: Option<VisibleObject>) {
         let Some(doc) = &mut self.doc else { return };
-        // Towards the viewer; to the right if the surface faces the viewer.
-        let frame = self.view.picture().map(|p| p.frame);
-        let viewer = frame.map_or(Vec3::X, |f| f.right.normalize_or_zero() * 0.35 - f.forward);
-        let deformation = dropped(kind, &doc.bounds(), at, viewer);
-        if let Some((point, _)) = at {
+        let object = object.unwrap_or_else(|| VisibleObject::of_box(&doc.bounds()));
+        let object = match at {
+            Some(point) => object.about(point),
+            None => object,
+        };
+        let deformation = dropped(kind, &doc.bounds(), &object);
+        if let Some(point) = at {
             // Moves the slices to the placed deformation.
             self.slices.cursor = Some(point.clamp(doc.bounds().min, doc.bounds().max));
         }

@@ -10,6 +10,7 @@ use super::state::tool::tidy;
 use crate::export::protect;
 use crate::files::OutputFile;
 use crate::files::path_text::text_of;
+use crate::prepare::placement::placed;
 use crate::prepare::{AssetKey, Assets, LoadOptions, Prepared};
 use crate::scene::{Deformation, Mode, Scene, Size, VolumeSource};
 use crate::volume::load::ReadOptions;
@@ -181,6 +182,12 @@ impl Workstation {
             );
             // A scene that cannot be resolved is rejected like a file that cannot be read.
             let loaded = assets.map(|assets| {
+                // Numbers that the file leaves out are chosen once, from its own camera. An error
+                // is reported with the picture's.
+                let scene = match placed(&scene, &assets) {
+                    Ok(placed) => placed.into_owned(),
+                    Err(_) => scene,
+                };
                 // Values that every frame needs are computed here.
                 let problem = Prepared::new(&small(&scene), &assets).err();
                 assets.volume.histogram(super::state::panels::BINS);

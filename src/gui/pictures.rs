@@ -195,7 +195,7 @@ impl Workstation {
                     self.take_point(at, from);
                 }
             }
-            Tool::Place(kind) if !source => self.place(kind.0, Some((at, Vec3::Z))),
+            Tool::Place(kind) if !source => self.place(kind.0, Some(at), None),
             _ if self.tool.brush().is_some() && !source => {
                 self.begin_stroke();
                 self.extend_stroke(at);

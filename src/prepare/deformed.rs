@@ -30,24 +30,7 @@ pub struct Deformed {
 }
 
 impl Deformed {
-    /// The deformation of a scene as used in its pictures.
-    ///
-    /// # Errors
-    /// Any invalid setting, by name.
-    pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
-        Self::watched(scene, assets, &Watch::NONE)
-    }
-
-    /// As [`Self::new`], for a caller that may cancel.
-    ///
-    /// # Errors
-    /// As [`Self::new`]; [`Error::Cancelled`](crate::Error::Cancelled).
-    pub fn watched(scene: &Scene, assets: &Assets, watch: &Watch) -> Result<Self> {
-        scene.check()?;
-        let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
-        Self::in_view(scene, assets, &view, &PrepareOptions::default().watched(watch))
-    }
-
+    /// The deformation of a placed scene as used in its pictures from a view.
     pub(super) fn in_view(
         scene: &Scene,
         assets: &Assets,
@@ -89,13 +72,13 @@ impl Deformed {
         })
     }
 
-    /// The exact deformation, as used for baking: every map in single precision, none composed; the
-    /// last cuts as shapes if requested.
-    ///
-    /// # Errors
-    /// As [`Self::watched`].
-    pub fn exact(scene: &Scene, assets: &Assets, exact_cuts: bool, watch: &Watch) -> Result<Self> {
-        scene.check_limits()?;
+    /// The exact deformation of a placed scene.
+    pub(super) fn exact_of_placed(
+        scene: &Scene,
+        assets: &Assets,
+        exact_cuts: bool,
+        watch: &Watch,
+    ) -> Result<Self> {
         let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
         let min_ramp_mm = 1.5 * assets.volume.spacing_mm().min_element() as f32;
         let inputs = StackInputs {

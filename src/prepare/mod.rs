@@ -9,6 +9,7 @@
 mod accelerator;
 mod assets;
 mod blank;
+mod coarse_rays;
 mod deformed;
 mod idle;
 pub mod inside;
@@ -18,6 +19,7 @@ pub mod measure;
 mod mesh_settings;
 mod object_cache;
 pub mod objects;
+pub mod placement;
 mod prepared;
 mod resolve;
 mod sampled;
@@ -27,6 +29,7 @@ pub mod stack;
 mod stack_inputs;
 pub mod surface_cells;
 mod tears;
+mod unseen;
 mod visibility;
 mod volume;
 
@@ -39,6 +42,7 @@ pub use prepared::{Frame, Prepared};
 pub use spacing::SampleSpacing;
 pub use stack_inputs::StackInputs;
 pub use tears::Tear;
+pub use unseen::unseen_deformations;
 pub use volume::VolumeObject;
 
 use crate::Watch;

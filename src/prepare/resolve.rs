@@ -1,22 +1,54 @@
-//! Resolves a scene against its assets.
+//! Resolves a scene against its assets. Deformations whose numbers are left out are placed first.
 
 use super::PrepareOptions;
 use super::assets::Assets;
 use super::deformed::Deformed;
 use super::idle::{IdleSetting, ineffective_settings};
+use super::placement::placed;
 use super::prepared::{Frame, Prepared};
 use super::spacing::{SampleSpacing, blend_mm};
 use super::tears;
 use super::volume::{Classifier, VolumeObject};
-use crate::Result;
 use crate::deform::kinds;
 use crate::math::normalize_or;
 use crate::picture::StageTimes;
 use crate::scene::{Deformation, Light, Scene, ViewFrame};
+use crate::{Result, Watch};
 use glam::Vec3;
 
 /// A displacement on the face of a map's box that is not seen, voxels.
 const TEAR_TOLERANCE: f32 = 0.5;
+
+impl Deformed {
+    /// The deformation of a scene as used in its pictures.
+    ///
+    /// # Errors
+    /// Any invalid setting, by name.
+    pub fn new(scene: &Scene, assets: &Assets) -> Result<Self> {
+        Self::watched(scene, assets, &Watch::NONE)
+    }
+
+    /// As [`Self::new`], for a caller that may cancel.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`Error::Cancelled`](crate::Error::Cancelled).
+    pub fn watched(scene: &Scene, assets: &Assets, watch: &Watch) -> Result<Self> {
+        scene.check()?;
+        let scene = &*placed(scene, assets)?;
+        let view = scene.camera.frame(&assets.scene_box(), scene.render.size)?;
+        Self::in_view(scene, assets, &view, &PrepareOptions::default().watched(watch))
+    }
+
+    /// The exact deformation, as used for baking: every map in single precision, none composed; the
+    /// last cuts as shapes if requested.
+    ///
+    /// # Errors
+    /// As [`Self::watched`].
+    pub fn exact(scene: &Scene, assets: &Assets, exact_cuts: bool, watch: &Watch) -> Result<Self> {
+        scene.check_limits()?;
+        Self::exact_of_placed(&*placed(scene, assets)?, assets, exact_cuts, watch)
+    }
+}
 
 impl<'a> Prepared<'a> {
     /// Resolves a scene.
@@ -35,6 +67,7 @@ impl<'a> Prepared<'a> {
     pub fn with(scene: &Scene, assets: &'a Assets, options: &PrepareOptions) -> Result<Self> {
         scene.check()?;
         let mut stages = StageTimes::default();
+        let scene = &*stages.time("placement", || placed(scene, assets))?;
         let settings = scene.render.clone();
         let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
         let scene_box = assets.scene_box();

@@ -149,17 +149,38 @@ impl<'a> VolumeObject<'a> {
 
     /// Whether anything is shown at a point of the undeformed scene.
     pub(super) fn shows(&self, source: Vec3) -> bool {
+        self.value_at(source).is_some_and(|value| match self.iso {
+            Some(iso) => value >= iso,
+            None => self.table.lookup(value)[3] > 0.0,
+        })
+    }
+
+    /// The value of the voxel nearest to a point of the undeformed scene; none outside the volume
+    /// and in its holes.
+    pub(super) fn value_at(&self, source: Vec3) -> Option<f32> {
         let p = self.voxel_from_world.transform_point3(source);
         if !self.is_present || p.cmplt(Vec3::splat(-0.5)).any() || p.cmpgt(self.grid_size - 0.5).any() {
-            return false;
+            return None;
         }
         let value = self.grid.value_near(p);
         let is_hole = self.grid.has_holes && value < -1e-4;
-        !is_hole
-            && match self.iso {
-                Some(iso) => value >= iso,
-                None => self.table.lookup(value)[3] > 0.0,
-            }
+        (!is_hole).then_some(value)
+    }
+
+    /// The optical depth of a voxel's length at a point of the undeformed scene (powers of 1/2);
+    /// infinite within an iso-surface and, in a projection, where the window is bright.
+    pub(super) fn depth_at(&self, source: Vec3) -> f32 {
+        let Some(value) = self.value_at(source) else {
+            return 0.0;
+        };
+        let opaque = |is_opaque: bool| if is_opaque { f32::INFINITY } else { 0.0 };
+        let level = 0.5 * (self.grey_window[0] + self.grey_window[1]);
+        match (self.iso, self.blend) {
+            (Some(iso), _) => opaque(value >= iso),
+            (None, Blend::Composite) => self.table.lookup(value)[3],
+            (None, Blend::Minip) => opaque(value <= level),
+            (None, _) => opaque(value >= level),
+        }
     }
 
     /// Where nothing of the volume is visible in its deformed box.

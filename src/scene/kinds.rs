@@ -3,7 +3,7 @@
 //! positions in world coordinates (patient LPS). Unset values have the kind's defaults
 //! ([`crate::deform::kinds`]).
 
-use super::{Deformation, Size};
+use super::{DefaultPlacement, Deformation, Size};
 use crate::deform::Argument;
 
 macro_rules! kinds {
@@ -52,7 +52,14 @@ macro_rules! kinds {
                     }
                 )*
 
-                /// Centre of its box, mm; the volume's centre by default.
+                /// Where its box lies if its centre or size is left out.
+                #[must_use]
+                pub fn placement(mut self, placement: DefaultPlacement) -> Self {
+                    self.0.placement = placement;
+                    self
+                }
+
+                /// Centre of its box, mm; on the visible surface by default.
                 #[must_use]
                 pub fn center(mut self, center: impl Into<[f32; 3]>) -> Self {
                     self.0.center = Some(center.into());

@@ -8,11 +8,28 @@ use toml::{Table, Value};
 pub(super) const OLDEST_VERSION: u32 = 1;
 
 /// Brings the table of a scene of version 1 to version 2: pictures without antialiasing, linear
-/// interpolation, and presets relative to all values.
+/// interpolation, presets relative to all values, and deformations without numbers in the middle of
+/// the volume.
 pub(super) fn from_version_1(table: &mut Table) {
     table.insert("incise".into(), Value::Integer(2));
     state(section(table, "render"), "antialias", Value::Integer(1));
     state(section(table, "render"), "filter", Value::String("linear".into()));
+    for deformation in table
+        .get_mut("deformation")
+        .and_then(Value::as_array_mut)
+        .into_iter()
+        .flatten()
+    {
+        let states = |key: &str| deformation.get(key).is_some();
+        // A file has a placement of its own.
+        let is_file = matches!(
+            deformation.get("kind").and_then(Value::as_str),
+            Some("field" | "map")
+        );
+        if !is_file && !states("matrix") && !(states("center") && states("size")) {
+            state(deformation, "placement", Value::String("volume".into()));
+        }
+    }
     let states_values = |transfer: &Value| {
         let named = transfer.get("preset").and_then(Value::as_str).and_then(preset);
         transfer.get("points").is_some() || named.is_some_and(|p| !p.depends_on_volume())

@@ -15,11 +15,13 @@ mod limits;
 pub mod measure;
 mod migrate;
 mod paths;
+pub mod placement;
 mod settings;
 pub mod surface;
 
 pub use antialias::Antialias;
 pub use camera::{Camera, Projection, View, ViewFrame};
+pub use placement::{DefaultPlacement, VisibleObject};
 
 use crate::deform::{Arguments, Storage};
 use crate::files::path_text::path_of;
@@ -147,10 +149,14 @@ pub struct Deformation {
     /// Set to false to disable this deformation.
     #[serde(default = "yes", skip_serializing_if = "Clone::clone")]
     pub enabled: bool,
-    /// Centre of its box, mm; the volume's centre by default.
+    /// Where its box lies if its centre or size is left out: on the visible surface, or in the
+    /// middle of the volume.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub placement: DefaultPlacement,
+    /// Centre of its box, mm; by default as `placement` says.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub center: Option<[f32; 3]>,
-    /// Size of its box, mm; a fraction of the volume's size by default.
+    /// Size of its box, mm; by default as `placement` says.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<Size>,
     /// Rotation about x, then y, then z, degrees.
@@ -189,6 +195,7 @@ impl Deformation {
             kind: kind.into(),
             name: None,
             enabled: true,
+            placement: DefaultPlacement::default(),
             center: None,
             size: None,
             rotate: None,

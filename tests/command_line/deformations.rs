@@ -361,7 +361,7 @@ fn check_bakes(folder: &Path) {
         "-o",
         "baked.nii.gz",
         "--deform",
-        "slab",
+        "slab:placement=volume",
         "--enlarge",
         "-q",
     ]);

@@ -9,6 +9,7 @@ pub fn slices_show_deformed_and_source() {
     let plain = bench.app().slices.picture(0).unwrap().section.values.clone();
     let mut cut = Deformation::new("box");
     cut.size = Some(incise::scene::Size::Cube(60.0));
+    cut.placement = incise::scene::DefaultPlacement::Volume;
     bench.app().doc.as_mut().unwrap().add(cut);
     bench.settle();
     let holes = |values: &[f32]| values.iter().filter(|v| v.is_nan()).count();

@@ -420,7 +420,15 @@ impl Kind {
             .collect();
         for (name, value) in given {
             let Some(n) = self.parameters.iter().position(|p| p.name == name) else {
-                let common = ["center", "size", "rotate", "progress", "storage", "resolution"];
+                let common = [
+                    "placement",
+                    "center",
+                    "size",
+                    "rotate",
+                    "progress",
+                    "storage",
+                    "resolution",
+                ];
                 let valid_names = self
                     .parameters
                     .iter()

@@ -376,12 +376,8 @@ mod tests {
         let scene_box = Bounds::new(Vec3::splat(-80.0), Vec3::splat(80.0));
         let mut tried = 0;
         for kind in kinds::list() {
-            let mut d = super::super::state::tool::dropped(
-                kind,
-                &scene_box,
-                Some((Vec3::new(20.0, -70.0, 30.0), Vec3::new(0.28, -0.96, 0.0))),
-                Vec3::X,
-            );
+            let object = crate::scene::VisibleObject::of_box(&scene_box).about(Vec3::new(20.0, -70.0, 30.0));
+            let mut d = super::super::state::tool::dropped(kind, &scene_box, &object);
             d.progress = Some(0.5);
             for mode in [Mode::Shape, Mode::Move, Mode::Rotate, Mode::Scale] {
                 let gizmo = Gizmo {

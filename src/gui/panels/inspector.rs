@@ -254,12 +254,13 @@ fn show_placement(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &cra
                 ui.label("Placed by a matrix");
                 if ui.button("Use centre, size and rotation instead").clicked() {
                     d.matrix = None;
+                    d.center = Some(tidy(scene_box.center()));
                 }
                 return;
             }
             let place = BoxPlacement::of(d, kind, scene_box);
             if name(ui, "Centre (mm)", "Centre of the box, patient LPS") {
-                d.center = None;
+                d.center = Some(tidy(scene_box.center()));
             }
             let mut center = tidy(place.center);
             if three(ui, &mut center, 0.5, "", "Centre") {
@@ -267,7 +268,7 @@ fn show_placement(ui: &mut Ui, d: &mut Deformation, kind: &Kind, scene_box: &cra
             }
             if !matches!(kind.size, DefaultSize::Across(_)) {
                 if name(ui, "Size (mm)", "Extents of the box") {
-                    d.size = None;
+                    d.size = Some(Size::Box(tidy(kind.default_size(scene_box))));
                 }
                 let mut size = tidy(place.size);
                 if three(ui, &mut size, 0.5, "", "Size") {

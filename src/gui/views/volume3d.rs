@@ -424,7 +424,7 @@ fn drop_on_view(response: &Response, projector: &Projector, requests: &mut Reque
         && let Some(pos) = response.ctx.pointer_latest_pos()
     {
         requests.0.push(Request::SetTool(Tool::Place(*kind)));
-        requests.probe(projector.at(pos), ProbePurpose::Tool);
+        requests.probe(projector.at(pos), ProbePurpose::Place);
     }
 }
 
@@ -453,6 +453,7 @@ fn click(
             requests.0.push(Request::BeginStroke);
             requests.probe(projector.at(pos), ProbePurpose::Brush { last: true });
         }
+        Tool::Place(_) => requests.probe(projector.at(pos), ProbePurpose::Place),
         _ => requests.probe(projector.at(pos), ProbePurpose::Tool),
     }
 }

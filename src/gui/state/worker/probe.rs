@@ -2,8 +2,9 @@
 
 use super::pool::quiet_pool;
 use crate::cpu::pick::{self, Pick};
+use crate::prepare::placement::visible_object;
 use crate::prepare::{Assets, Prepared};
-use crate::scene::Scene;
+use crate::scene::{Scene, VisibleObject};
 use crate::{Error, Result};
 use eframe::egui;
 use std::sync::Arc;
@@ -18,6 +19,8 @@ pub enum ProbePurpose {
     Center,
     /// To apply a tool there.
     Tool,
+    /// To place a deformation there.
+    Place,
     /// To add a point to a brush stroke.
     Brush {
         /// The stroke ends with this point.
@@ -45,6 +48,8 @@ pub struct ProbeResult {
     pub purpose: ProbePurpose,
     /// The picked point.
     pub pick: Result<Option<Pick>>,
+    /// What the view shows, if a deformation is to be placed on it.
+    pub object: Option<VisibleObject>,
     /// The assets in which it was picked.
     pub assets: Arc<Assets>,
 }
@@ -100,6 +105,12 @@ impl Drop for Prober {
     }
 }
 
+/// What a scene shows; none if it shows nothing, or if finding it fails.
+fn visible(scene: &Scene, assets: &Assets) -> Option<VisibleObject> {
+    let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| visible_object(scene, assets)));
+    found.ok()?.ok()?
+}
+
 fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: &egui::Context) {
     let pool = quiet_pool();
     let mut next: Option<ProbeRequest> = None;
@@ -118,11 +129,15 @@ fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: 
         }))
         .unwrap_or_else(|_| Err(fault()));
         let reply = |question: ProbeRequest, pick: Result<Option<Pick>>| {
+            let object = (question.purpose == ProbePurpose::Place && pick.is_ok())
+                .then(|| visible(&scene, &assets))
+                .flatten();
             let sent = answer
                 .send(ProbeResult {
                     at: question.at,
                     purpose: question.purpose,
                     pick,
+                    object,
                     assets: question.assets,
                 })
                 .is_ok();
