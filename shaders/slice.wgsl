@@ -47,7 +47,7 @@ fn fragment_sample(
     let cut_free = state >= CUT_FREE_FLAG;
     var found = FoundSample(s, at.present, at.alpha, layered, cut_free, hidden && !layered, previous, UNKNOWN_NEIGHBOUR);
     let to_shade = to_be_shaded(at, s.depth, p, step);
-    // One text of the shading for both.
+    // Both share one copy of the shading code.
     for (var n = select(1, 0, layered); n < select(1, 2, to_shade); n += 1) {
         let shaded = shaded_sample(found, direction, half, step, step / frame.reference_mm);
         sample.color += shaded.color * (1.0 - sample.color.a);

@@ -227,7 +227,7 @@ const PAIRS: &[(&str, &str, &str)] = &[
     (
         "src/cpu/edges.rs",
         "shaders/lib/edges.wgsl",
-        "within_mask may_hide_a_layer near_edge extents=extent sees_behind",
+        "within_mask of_sample=represented may_hide_a_layer near_edge extents=extent sees_behind",
     ),
     ("src/cpu/march.rs", "shaders/lib/march.wgsl", "first_sample_after"),
     (

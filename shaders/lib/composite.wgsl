@@ -49,7 +49,8 @@ fn advanced(way: Advance, ray: Ray, inverse_direction: vec3<f32>, end: i32, step
     return next;
 }
 
-// Composites samples first .. end of a ray, at (i + 1/2) step; `hidden`: something opaque ends it.
+// Composites samples first .. end of a ray, at (i + 1/2) step; `hidden`: something opaque lies in front
+// of the next one.
 fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32, hidden: bool) -> RaySamples {
     let inverse_direction = reciprocals(ray.direction);
     let length = step / frame.reference_mm;
@@ -97,6 +98,7 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32, hidden
             if last_at == way.i {
                 previous = before;
             }
+            let is_first = way.i == 0;
             // Visible samples come in runs: the next one is likely to be shaded too.
             let with_gradient = needs_gradients && last_at == way.i && before.depth > 0.0;
             let at = sample_scene_and_gradient(sampled, with_gradient);
@@ -109,10 +111,14 @@ fn composite(pixel: vec2<f32>, ray: Ray, first: i32, end: i32, step: f32, hidden
                 }
                 continue;
             }
-            if PREINTEGRATED != 0u && previous.state != SAMPLED && at.present {
+            if PREINTEGRATED != 0u && !is_first && previous.state != SAMPLED && at.present {
                 previous = as_neighbour(sample_scene(ray.origin + ray.direction * (middle - step)));
             }
             before = as_neighbour(at);
+            if is_first {
+                // Behind the eye lies what lies before it.
+                previous = before;
+            }
             if waiting {
                 found = last;
                 found.next = before;

@@ -48,13 +48,13 @@ struct FoundSample {
 
 // What a sample represents, and where it is shaded.
 struct SampleExtent {
-    // The sample, or the first of a thin layer; depth 0: there is nothing.
+    // The sample, or the first of a thin layer; if none was found, `spacing` is still the step.
     at: FoundSample,
     // Where the ray enters the material, else the sample itself.
     entry: VisibleSample,
     entered: bool,
     through_cut: bool,
-    // Length as a fraction of a step.
+    // Optical depth of what it represents, over a step of its own density.
     share: f32,
     // Density that the samples around a thin layer represent.
     floor: f32,
@@ -74,6 +74,29 @@ fn within_mask(alpha: f32) -> bool {
     return alpha > 0.0 && alpha < 0.5;
 }
 
+// The length of a bisected stretch that a sample represents, by its own density. The thinner
+// neighbour represents what lies on its side of the crossing, and the denser one the rest of the
+// optical depth.
+fn represented(x: ExtentSearch, of_neighbour: f32) -> f32 {
+    let depth = x.e.at.s.depth;
+    let drop = x.near_depth - x.far_depth;
+    let width = x.far - x.near;
+    var part = 0.5;
+    var near_end = min(x.near_depth, x.cap);
+    var far_end = min(x.far_depth, x.cap);
+    if x.far_present && x.far < x.e.spacing && abs(drop) > 1e-6 {
+        part = clamp((x.near_depth - x.enough) / drop, 0.0, 1.0);
+        near_end = 0.5 * (near_end + x.enough);
+        far_end = 0.5 * (far_end + x.enough);
+    }
+    let distance = x.near + width * part;
+    if !x.dense_here || depth <= 1e-20 {
+        return distance;
+    }
+    let integral = x.integral + width * (part * near_end + (1.0 - part) * far_end);
+    return max(integral - of_neighbour * (x.e.spacing - distance), 0.0) / depth;
+}
+
 // Whether a cut or a face of the volume passes between a sample and the previous one, and both are
 // so thin that a layer thinner than a step may lie between them.
 fn may_hide_a_layer(at: Neighbour, previous: Neighbour) -> bool {
@@ -88,8 +111,9 @@ fn may_hide_a_layer(at: Neighbour, previous: Neighbour) -> bool {
 // Whether a mask's edge, a cut shape or a face of the volume is near.
 fn near_edge(at: SceneSample, sampled: vec3<f32>, step: f32) -> bool {
     let reached = all(at.in_voxel >= -0.5 - frame.face) && all(at.in_voxel <= frame.grid_size - 0.5 + frame.face);
-    return is_near_mask_edge(at) || (reached && !far_from_faces(at.in_voxel))
-        || (CUTS > 0u && abs(cuts_signed_distance_mm(sampled)) <= step);
+    // What a shape removes has no source position.
+    return is_near_mask_edge(at) || (at.alpha > 0.0 && reached && !far_from_faces(at.in_voxel))
+        || (CUTS > 0u && abs(cuts_signed_distance_mm(sampled)) <= frame.blend_far_mm + 2.2 * step);
 }
 
 // The samples that a search takes, in this order; each kind begins with n = 0.
@@ -123,6 +147,10 @@ struct ExtentSearch {
     dense_here: bool,
     // The ray comes out of a cut.
     from_cut: bool,
+    // The integral of the density over what is bisected, mm times density. What is denser than both
+    // ends is a layer of its own.
+    cap: f32,
+    integral: f32,
     // The densities found nearest to the crossing on both sides.
     near_depth: f32,
     far_depth: f32,
@@ -164,6 +192,8 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.from_cut = x.e.entered && other.state == SAMPLED && !other.present;
         x.enough = select(0.5 * (depth + other.depth), -1.0, x.from_cut);
         x.dense_here = x.e.entered;
+        x.integral = 0.0;
+        x.cap = max(depth, other.depth);
         x.near_depth = depth;
         x.far_depth = other.depth;
         x.far_present = other.present;
@@ -183,6 +213,8 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.far = x.e.spacing;
         x.enough = 0.5 * (depth + other.depth);
         x.dense_here = x.segment || other.depth < 0.5 * depth;
+        x.integral = 0.0;
+        x.cap = max(depth, other.depth);
         x.near_depth = depth;
         x.far_depth = other.depth;
         x.far_present = other.present;
@@ -247,13 +279,17 @@ fn taken(
     } else {
         x.n += 1;
         let middle = 0.5 * (x.near + x.far);
+        // The half without the crossing is integrated by the trapezoidal rule.
+        let quarter = 0.25 * (x.far - x.near);
         if (at.present && there.depth >= x.enough) == x.dense_here {
+            x.integral += quarter * (min(x.near_depth, x.cap) + min(there.depth, x.cap));
             x.near = middle;
             x.near_depth = there.depth;
             if x.turn != BACK && x.e.entered {
                 x.e.entry = there;
             }
         } else {
+            x.integral += quarter * (min(x.far_depth, x.cap) + min(there.depth, x.cap));
             x.far = middle;
             x.far_depth = there.depth;
             x.far_present = at.present;
@@ -261,34 +297,22 @@ fn taken(
         }
     }
     if x.turn == BACK && x.n == EDGE_STEPS {
-        x.behind = crossing(x);
+        x.behind = represented(x, x.e.at.next.depth);
         x.turn = DONE;
     }
     if x.turn == FRONT && x.n == EDGE_STEPS && (x.far_found || !x.e.entered) {
         x.e.through_cut = x.e.entered && !x.far_present;
         if !(x.segment && x.e.at.previous.present) {
-            x.before = crossing(x);
+            x.before = represented(x, x.e.at.previous.depth);
         }
         x.turn = select(NEXT_SAMPLE, CUT, x.from_cut);
         x.n = 0;
     }
     if x.turn == BEHIND_CUT && x.n == EDGE_STEPS {
-        x.before = select(crossing(x), x.before, x.segment);
         x.turn = NEXT_SAMPLE;
         x.n = 0;
     }
     return x;
-}
-
-// Where a bisection has found the density to cross its threshold; between two points of the material
-// the density is interpolated.
-fn crossing(x: ExtentSearch) -> f32 {
-    let drop = x.near_depth - x.far_depth;
-    var part = 0.5;
-    if x.far_present && abs(drop) > 1e-6 {
-        part = clamp((x.near_depth - x.enough) / drop, 0.0, 1.0);
-    }
-    return mix(x.near, x.far, part);
 }
 
 // Evaluates one of the samples that search a step for a layer thinner than it.

@@ -9,10 +9,9 @@ fn ray_color(pixel: vec2<f32>) -> vec4<f32> {
     ray.origin += ray.direction * shift;
     var range = proxy_range(ray.origin, reciprocals(ray.direction));
     var surface = vec4<f32>(0.0);
-    var hidden = false;
+    var until = FAR_AWAY;
     if BEHIND != 0u {
-        let until = textureLoad(behind_t, vec2<i32>(pixel), 0).r - shift;
-        hidden = until < range.y;
+        until = textureLoad(behind_t, vec2<i32>(pixel), 0).r - shift;
         range.y = min(range.y, until);
         surface = textureLoad(behind, vec2<i32>(pixel), 0);
     }
@@ -20,9 +19,9 @@ fn ray_color(pixel: vec2<f32>) -> vec4<f32> {
         return surface;
     }
     let step = frame.step_mm;
-    let all = composite(
-        pixel, ray, first_sample_after(range.x, step), first_sample_after(range.y, step), step, hidden
-    );
+    let end = first_sample_after(range.y, step);
+    let hidden = until <= (f32(end) + 0.5) * step;
+    let all = composite(pixel, ray, first_sample_after(range.x, step), end, step, hidden);
     var color = all.color;
     if BLEND != BLEND_COMPOSITE {
         color = projection_color(all.projected, all.present_count);

@@ -69,7 +69,7 @@ fn sample_cubic(p: vec3<f32>) -> vec4<f32> {
     let f = q - base;
     let last = vec3<i32>(size) - 1;
     var sum = vec4<f32>(0.0);
-    // The same of ones: less than 1, and not 0, where voxels have no data.
+    // The weights of the voxels that have data.
     var counted = vec4<f32>(0.0);
     let x = spline_weights(f.x);
     let x_slopes = spline_slopes(f.x);

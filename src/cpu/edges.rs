@@ -1,22 +1,22 @@
 //! The length of ray that a sample represents, where rays enter material, and layers thinner than a
 //! step.
 //!
-//! *Theory*: a sample represents the part of the ray that is nearer to it in density than to its
-//! neighbours. Between two samples of similar density the border is half-way. Where one of them is
-//! less than half as dense as the other (at a surface, at a cut, at the volume's own faces), the
-//! border is where the density crosses their mean, found by bisection. The sum over a ray is then
-//! the trapezoidal rule where the density changes slowly, and the exact path where it jumps,
+//! *Theory*: between two samples of similar density each represents half of the step. Where one of
+//! them is less than half as dense as the other (at a surface, at a cut, at the volume's own faces),
+//! the thinner one represents the step up to where the density crosses their mean, found by
+//! bisection, and the denser one the rest of the step's optical depth. The sum over a ray is then
+//! the trapezoidal rule, refined by the samples of the bisection where the density changes fast,
 //! wherever the samples fall. Without this, edges show the sampling as rings, combs and stairs.
 //!
-//! A sample in front of which the density falls below half is shaded where the ray enters the
+//! A sample in front of which the density falls below half of its own is shaded where the ray enters the
 //! material, not wherever the sample lies within the step.
 //!
 //! Two thin samples may have a dense layer between them that is thinner than a step: the end of
 //! material that is cut obliquely, or that ends at the volume's face. Where a cut or a face passes
 //! between the two, [`THIN_LAYER_SAMPLES`] samples search for it.
 //!
-//! Samples of pre-integrated segments represent the segment in front of them; of these only what is
-//! cut away counts.
+//! Samples of pre-integrated segments represent the segment in front of them. Its length changes only
+//! at cuts: what is cut away does not count, and what lies between the last sample and a cut is added.
 //!
 //! `shaders/lib/edges.wgsl` computes the same, by one loop around one sample: every sample that a
 //! shader takes at another place in its text is compiled once more.
@@ -98,7 +98,7 @@ pub(super) struct FoundSamples<S: Simd> {
     pub(super) floor: f32x8<S>,
 }
 
-/// A sample that has something to shade, with its neighbours.
+/// Samples to store in [`FoundSamples`], with their neighbours.
 pub(super) struct NewSamples<'a, S: Simd> {
     pub(super) sample: &'a SamplePacket<S>,
     pub(super) deformed: Vec3x8<S>,
@@ -173,7 +173,7 @@ impl<S: Simd> SurfaceEntries<S> {
 
 /// What eight samples represent, and where they are shaded.
 pub(super) struct SampleExtents<S: Simd> {
-    /// Lengths as fractions of a step.
+    /// Optical depths of what they represent, over a step of their own density.
     pub(super) share: f32x8<S>,
     pub(super) entry: SurfaceEntries<S>,
     /// Gradients per voxel there, if they come with the values.
@@ -210,6 +210,8 @@ struct Bracket<S: Simd> {
 struct Crossing<S: Simd> {
     /// Distances from the near ends, mm.
     distance: f32x8<S>,
+    /// Integrals of the density over the stretch, mm times density.
+    integral: f32x8<S>,
     /// The last points found on the near side, and their densities.
     last: SurfaceEntries<S>,
     last_depth: f32x8<S>,
@@ -229,6 +231,19 @@ fn differs<S: Simd>(depth: f32x8<S>, other: f32x8<S>) -> (mask32x8<S>, mask32x8<
 #[inline(always)]
 fn within_mask<S: Simd>(alpha: f32x8<S>) -> mask32x8<S> {
     alpha.simd_gt(0.0) & alpha.simd_lt(0.5)
+}
+
+impl<S: Simd> Bracket<S> {
+    /// The length of the stretch, mm, that samples at its near end represent, by their own density.
+    /// The thinner neighbour represents what lies on its side of the crossing, and the denser one
+    /// the rest of the optical depth.
+    #[inline(always)]
+    fn of_sample(&self, found: &Crossing<S>) -> f32x8<S> {
+        let of_neighbour = self.far_depth * (self.width - found.distance);
+        let rest = (found.integral - of_neighbour).max(0.0) / self.depth;
+        let rest = self.depth.simd_gt(1e-20).select(rest, found.distance);
+        self.dense_here.select(rest, found.distance)
+    }
 }
 
 impl PacketSampler<'_> {
@@ -326,11 +341,12 @@ impl PacketSampler<'_> {
         let inner = within(at.x, margin.x - 0.5, top.x - margin.x)
             & within(at.y, margin.y - 0.5, top.y - margin.y)
             & within(at.z, margin.z - 0.5, top.z - margin.z);
-        at_mask | near_shape | (reached & !inner)
+        // What a shape removes has no source position.
+        at_mask | near_shape | (sample.alpha.simd_gt(0.0) & reached & !inner)
     }
 
-    /// Searches the steps in front of some of the samples found for a layer at least twice as dense
-    /// as the sample and the previous one. Where there is one, it replaces the sample, and the
+    /// Searches the steps in front of some of the samples found for a layer more than twice as dense
+    /// as the sample and the previous one (of an iso-surface: for a visible one). Where there is one, it replaces the sample, and the
     /// points around it the neighbours; else nothing is found.
     #[inline(never)]
     pub(super) fn find_thin_layers<S: Simd>(
@@ -463,25 +479,23 @@ impl PacketSampler<'_> {
             & self.sees_behind(sample, rays.step)
             & ((!segment & (falls | rises)) | (segment & next.sampled & !next.present));
         if crossed.any_true() {
-            let back = self.crossing(
-                simd,
-                &Bracket {
-                    start: SurfaceEntries {
-                        deformed: *deformed + rays.direction * found.layer,
-                        ..own
-                    },
-                    direction: rays.direction,
-                    width: *spacing,
-                    depth,
-                    far_depth: next.depth,
-                    far_present: next.present,
-                    enough: (depth + next.depth) * 0.5,
-                    dense_here: falls | segment,
-                    lanes: crossed,
-                    near_shape: found.near_cut,
+            let bracket = Bracket {
+                start: SurfaceEntries {
+                    deformed: *deformed + rays.direction * found.layer,
+                    ..own
                 },
-            );
-            behind = crossed.select(back.distance, behind);
+                direction: rays.direction,
+                width: *spacing,
+                depth,
+                far_depth: next.depth,
+                far_present: next.present,
+                enough: (depth + next.depth) * 0.5,
+                dense_here: falls | segment,
+                lanes: crossed,
+                near_shape: found.near_cut,
+            };
+            let back = self.crossing(simd, &bracket);
+            behind = crossed.select(bracket.of_sample(&back), behind);
         }
         extents.share = (before + found.layer + behind) / rays.step;
         extents
@@ -519,7 +533,8 @@ impl PacketSampler<'_> {
             near_shape: found.near_cut,
         };
         let front = self.crossing(simd, &bracket);
-        before = (crossed & !(segment & previous.present)).select(front.distance, before);
+        let of_sample = bracket.of_sample(&front);
+        before = (crossed & !(segment & previous.present)).select(of_sample, before);
         extents.entry = SurfaceEntries::select(entered, &front.last, &own);
         extents.through_cut = entered & !front.far_present;
         let unknown = entered & !front.far_found & !previous.sampled;
@@ -540,7 +555,6 @@ impl PacketSampler<'_> {
                 (bracket.far_depth, bracket.far_present) = (front.last_depth, behind);
                 bracket.lanes = behind;
                 let surface = self.crossing(simd, &bracket);
-                before = (behind & !segment).select(surface.distance, before);
                 extents.entry = SurfaceEntries::select(behind, &surface.last, &extents.entry);
             }
         }
@@ -582,18 +596,24 @@ impl PacketSampler<'_> {
                 let (mut near, mut far) = (zero, width);
                 let mut crossing = Crossing {
                     distance: zero,
+                    integral: zero,
                     last: start,
                     last_depth: depth,
                     far_present,
                     far_found: none,
                 };
                 let mut far_depth = far_depth;
+                // What is denser than both ends is a layer of its own.
+                let cap = depth.max(far_depth);
                 for _ in 0..EDGE_STEPS {
                     let middle = (near + far) * 0.5;
                     let p = start.deformed + direction * middle;
                     let there = self.sample_points_apart(simd, &p, &lanes, &near_shape);
                     let dense = there.present & there.depth.simd_ge(enough);
                     let on_near_side = !(dense ^ dense_here);
+                    // The half without the crossing is integrated by the trapezoidal rule.
+                    let other = on_near_side.select(crossing.last_depth, far_depth);
+                    crossing.integral += (far - near) * 0.25 * (other.min(cap) + there.depth.min(cap));
                     near = on_near_side.select(middle, near);
                     far = on_near_side.select(far, middle);
                     let near_point = SurfaceEntries {
@@ -612,9 +632,15 @@ impl PacketSampler<'_> {
                 // Between two points of the material the density is interpolated.
                 let drop = crossing.last_depth - far_depth;
                 let part = ((crossing.last_depth - enough) / drop).max(0.0).min(1.0);
-                let known = crossing.far_present & drop.abs().simd_gt(1e-6);
+                let known = crossing.far_present & far.simd_lt(bracket.width) & drop.abs().simd_gt(1e-6);
                 let part = known.select(part, f32x8::splat(simd, 0.5));
-                crossing.distance = near + (far - near) * part;
+                let width = far - near;
+                crossing.distance = near + width * part;
+                // In front of what is not present the density is that of the near end.
+                let [last_depth, far_depth] = [crossing.last_depth.min(cap), far_depth.min(cap)];
+                let near_end = known.select((last_depth + enough) * 0.5, last_depth);
+                let far_end = known.select((far_depth + enough) * 0.5, far_depth);
+                crossing.integral += width * (part * near_end + (-part + 1.0) * far_end);
                 crossing
             },
         )

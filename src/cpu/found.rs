@@ -112,9 +112,15 @@ impl PacketSampler<'_> {
             #[inline(always)]
             || {
                 let mut visible = found.lanes & found.sample.depth.simd_gt(0.0);
-                let mut extents = self.extents(simd, rays, found, visible);
+                // Iso-surfaces are found by a bisection of their own.
+                let represented = if self.scene.volume().iso.is_some() {
+                    visible & !visible
+                } else {
+                    visible
+                };
+                let mut extents = self.extents(simd, rays, found, represented);
                 if self.cubic {
-                    self.apply_cubic_filter(simd, &mut extents, visible);
+                    self.apply_cubic_filter(simd, &mut extents, represented);
                 }
                 let FoundSamples {
                     lanes,
@@ -180,8 +186,7 @@ impl PacketSampler<'_> {
     }
 
     /// Replaces the values where samples are shaded by those of cubic splines, with their gradients.
-    /// What is visible, and how opaque it is, is decided by trilinear samples, whose sum over a ray
-    /// does not depend on the filter.
+    /// Visibility and optical depth are those of trilinear samples.
     #[inline(always)]
     fn apply_cubic_filter<S: Simd>(&self, simd: S, extents: &mut SampleExtents<S>, visible: mask32x8<S>) {
         let mut gradient = Vec3x8::splat(simd, Vec3::ZERO);

@@ -127,8 +127,10 @@ impl PacketSampler<'_> {
         }
         let none = number.simd_lt(-1.0);
         let never = f32x8::splat(simd, f32::NEG_INFINITY);
-        let with_gradients = self.sampler.has_gradients() && fetch_policy.fetches_gradients();
+        let mostly_visible = fetch_policy.fetches_gradients();
+        let with_gradients = self.sampler.has_gradients() && mostly_visible;
         let rays = MarchRays {
+            mostly_visible,
             origin,
             direction,
             inverse_direction,
@@ -136,7 +138,7 @@ impl PacketSampler<'_> {
             step,
             length: step * frame.spacing.reference_mm.recip(),
             end,
-            hidden: until.simd_lt(far),
+            hidden: until.simd_le((end + 0.5) * step),
             with_gradients,
             ahead: direction.mapped(&Mat3::from(scene.volume().voxel_from_world.matrix3))
                 * (step * PREFETCH_STEPS),
@@ -269,7 +271,7 @@ impl PacketSampler<'_> {
             searching = here & !found.lanes & (way.number.simd_lt(rays.end) | way.last.waiting);
             // Does not wait for the others where they mostly have something to shade too: a sample
             // for a few lanes costs as much as one for all.
-            if rays.with_gradients && count(found.lanes) >= LANES as u64 / 2 {
+            if rays.mostly_visible && count(found.lanes) >= LANES as u64 / 2 {
                 break;
             }
         }
@@ -324,6 +326,9 @@ impl PacketSampler<'_> {
             present: sample.present,
             sampled: here,
         };
+        // Behind the eye lies what lies before it.
+        let first = here & number.simd_lt(0.5);
+        previous.insert(first, &as_neighbour);
         let point = rays.origin + rays.direction * ((number - 0.5) * rays.step);
         self.look_up_segments(simd, &mut sample, lanes, near_cut, &mut previous, point);
         let complete = here & last.waiting;
@@ -405,8 +410,10 @@ struct MarchRays<S: Simd> {
     length: f32x8<S>,
     /// Index after the last sample.
     end: f32x8<S>,
-    /// Which end at something opaque.
+    /// Which have something opaque in front of the sample after the last one.
     hidden: mask32x8<S>,
+    /// Whether many samples are visible.
+    mostly_visible: bool,
     /// Whether gradients are fetched together with values.
     with_gradients: bool,
     /// Offset from a sample to the point to prefetch, voxels.

@@ -314,7 +314,12 @@ impl PacketSampler<'_> {
         let mut undecided = near_cut;
         for _ in 0..CUT_LOOKBACK_STEPS {
             let point = sampled - direction * way;
-            let back = self.sample_points_apart(simd, &point, &undecided, &(near_cut & !near_cut));
+            let near_shape = if self.scene.cuts.is_empty() {
+                near_cut & !near_cut
+            } else {
+                undecided
+            };
+            let back = self.sample_points_apart(simd, &point, &undecided, &near_shape);
             near_cut &= !(undecided & back.present) | back.depth.simd_ge(at.depth * 0.5);
             undecided &= !back.present;
             if !undecided.any_true() {

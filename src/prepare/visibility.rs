@@ -106,7 +106,7 @@ impl VisibilityCriteria<'_> {
         self.cut_lookback_mm.max(self.lookback_mm)
     }
 
-    /// The visibility of a box of the deformed scene, including what its samples read further back.
+    /// The visibility of a box of the deformed scene, including what its samples read around it.
     pub(super) fn visibility(&self, deformed: &Bounds) -> BoxVisibility {
         let visibility = self.box_visibility(&deformed.grown(self.lookback_mm)).0;
         if visibility == BoxVisibility::Invisible && self.cut_lookback_mm > self.lookback_mm {

@@ -2,8 +2,8 @@
 //!
 //! *Theory*: the weights of the four voxels along an axis, and their derivatives, are those of the
 //! uniform cubic B-spline (Sigg and Hadwiger, "Fast third-order texture filtering", GPU Gems 2,
-//! 2005). The spline approximates: it smooths by about a voxel, which removes the steps of slices
-//! and most noise, and its gradient is continuous, where that of trilinear interpolation jumps at
+//! 2005). The spline approximates: it smooths by about a voxel, which reduces the steps of
+//! slices and noise, and its gradient is continuous, where that of trilinear interpolation jumps at
 //! every voxel. A linear function is reproduced exactly.
 //!
 //! Voxels without data do not count: the weights of the others are scaled to a sum of 1.
@@ -39,7 +39,7 @@ impl VolumeSampler<'_> {
         };
         let [columns, rows, planes] = [0, 1, 2].map(|axis| [0, 1, 2, 3].map(|n| index(axis, n)));
         let mut sum = Vec4::ZERO;
-        // The same of ones: less than 1, and not 0, where voxels have no data.
+        // The weights of the voxels that have data.
         let mut counted = Vec4::ZERO;
         with_voxels!(self.voxels, v => {
             for (c, &k) in planes.iter().enumerate() {

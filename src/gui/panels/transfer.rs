@@ -7,7 +7,7 @@ use crate::gui::state::action::Action;
 use crate::gui::state::panels::{Gallery, Thumbnails, TransferPanel};
 use crate::gui::state::request::{Request, Requests};
 use crate::gui::theme;
-use crate::transfer::{self, Blend, ControlPoint, TransferFunction, TransferSettings};
+use crate::transfer::{self, Blend, ControlPoint, SuitablePreset, TransferFunction, TransferSettings};
 use crate::volume::Volume;
 use eframe::egui::{
     self, Color32, DragValue, Pos2, Rect, Response, Sense, Shape, Slider, Stroke, Ui, pos2, vec2,
@@ -111,8 +111,8 @@ impl TransferPanel {
             return requests;
         }
         let volume = &doc.assets.volume;
-        let fallback = doc.scene.default_preset(volume);
-        let function = match doc.scene.transfer.resolve(volume, fallback) {
+        let suitable = doc.scene.suitable_preset(volume);
+        let function = match doc.scene.transfer.resolve(volume, suitable.name) {
             Ok(function) => function,
             Err(error) => {
                 ui.label(error.to_string());
@@ -132,7 +132,7 @@ impl TransferPanel {
             requests.perform(action);
         }
         heading(ui, "Presets");
-        self.show_presets(ui, &state.thumbnails, fallback, &mut settings);
+        self.show_presets(ui, &state.thumbnails, &suitable, &mut settings);
         requests.0.push(Request::MakeThumbnails(Gallery::Presets));
         if settings != doc.scene.transfer {
             requests.change(move |doc| doc.scene.transfer = settings);
@@ -144,12 +144,12 @@ impl TransferPanel {
         &mut self,
         ui: &mut Ui,
         thumbnails: &Thumbnails,
-        fallback: &str,
+        suitable: &SuitablePreset,
         settings: &mut TransferSettings,
     ) {
         let columns = ((ui.available_width() + 4.0) / 90.0).floor().max(1.0) as usize;
         let mut chosen = None;
-        let now = settings.preset.clone().unwrap_or_else(|| fallback.to_owned());
+        let now = settings.preset.as_deref().unwrap_or(suitable.name).to_owned();
         egui::Grid::new("presets")
             .num_columns(columns)
             .spacing(vec2(4.0, 4.0))
@@ -162,10 +162,11 @@ impl TransferPanel {
                         preset.name,
                         preset.name == now,
                     );
-                    if response
-                        .on_hover_text(format!("{}: {}", preset.name, preset.about))
-                        .clicked()
-                    {
+                    let mut about = format!("{}: {}", preset.name, preset.about);
+                    if preset.name == suitable.name && settings.preset.is_none() {
+                        about += &format!("\nChosen because {}", suitable.reason);
+                    }
+                    if response.on_hover_text(about).clicked() {
                         chosen = Some(preset.name);
                     }
                     if (n + 1).is_multiple_of(columns) {
