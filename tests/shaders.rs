@@ -107,6 +107,7 @@ pub fn counterparts_exist() {
             "shaders/lib/edges.wgsl",
             "src/cpu/edges.rs",
             &[
+                ("EDGE_RATIO: f32 = 0.65", "EDGE_RATIO: f32 = 0.65"),
                 ("EDGE_STEPS: i32 = 4", "EDGE_STEPS: u32 = 4"),
                 ("THIN_LAYER_SAMPLES: i32 = 8", "THIN_LAYER_SAMPLES: usize = LANES"),
                 ("OPAQUE_DEPTH: f32 = 9.0", "OPAQUE_DEPTH: f32 = 9.0"),
@@ -227,7 +228,7 @@ const PAIRS: &[(&str, &str, &str)] = &[
     (
         "src/cpu/edges.rs",
         "shaders/lib/edges.wgsl",
-        "within_mask of_sample=represented may_hide_a_layer near_edge extents=extent sees_behind",
+        "differs within_mask of_sample=represented may_hide_a_layer near_edge extents=extent sees_behind",
     ),
     ("src/cpu/march.rs", "shaders/lib/march.wgsl", "first_sample_after"),
     (

@@ -1,5 +1,6 @@
 // Counterpart of src/cpu/edges.rs.
 
+const EDGE_RATIO: f32 = 0.65;
 const EDGE_STEPS: i32 = 4;
 const THIN_LAYER_SAMPLES: i32 = 8;
 const OPAQUE_DEPTH: f32 = 9.0;
@@ -68,6 +69,11 @@ fn shows(present: bool, value: f32, depth: f32) -> bool {
         return present && value >= frame.iso;
     }
     return depth > 0.0;
+}
+
+// Whether the step between two samples is bisected.
+fn differs(depth: f32, other: f32) -> bool {
+    return min(depth, other) < EDGE_RATIO * max(depth, other);
 }
 
 fn within_mask(alpha: f32) -> bool {
@@ -191,14 +197,14 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.far = x.e.spacing;
         x.from_cut = x.e.entered && other.state == SAMPLED && !other.present;
         x.enough = select(0.5 * (depth + other.depth), -1.0, x.from_cut);
-        x.dense_here = x.e.entered;
+        x.dense_here = other.depth < depth;
         x.integral = 0.0;
         x.cap = max(depth, other.depth);
         x.near_depth = depth;
         x.far_depth = other.depth;
         x.far_present = other.present;
         x.far_found = other.state == SAMPLED;
-        if !x.e.entered && (x.segment || !(depth < 0.5 * other.depth)) {
+        if !x.e.entered && (x.segment || !differs(depth, other.depth)) {
             x.turn = NEXT_SAMPLE;
         }
     }
@@ -212,14 +218,14 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.near = 0.0;
         x.far = x.e.spacing;
         x.enough = 0.5 * (depth + other.depth);
-        x.dense_here = x.segment || other.depth < 0.5 * depth;
+        x.dense_here = x.segment || other.depth < depth;
         x.integral = 0.0;
         x.cap = max(depth, other.depth);
         x.near_depth = depth;
         x.far_depth = other.depth;
         x.far_present = other.present;
         let ends = x.segment && other.state == SAMPLED && !other.present;
-        if hidden || !(ends || (!x.segment && (other.depth < 0.5 * depth || depth < 0.5 * other.depth))) {
+        if hidden || !(ends || (!x.segment && differs(depth, other.depth))) {
             x.turn = DONE;
         }
     }

@@ -1,8 +1,8 @@
 //! The length of ray that a sample represents, where rays enter material, and layers thinner than a
 //! step.
 //!
-//! *Theory*: between two samples of similar density each represents half of the step. Where one of
-//! them is less than half as dense as the other (at a surface, at a cut, at the volume's own faces),
+//! *Theory*: between two samples of similar density each represents half of the step. Where their
+//! densities differ by more than [`EDGE_RATIO`] (at a surface, at a cut, at the volume's own faces),
 //! the thinner one represents the step up to where the density crosses their mean, found by
 //! bisection, and the denser one the rest of the step's optical depth. The sum over a ray is then
 //! the trapezoidal rule, refined by the samples of the bisection where the density changes fast,
@@ -24,6 +24,8 @@
 use super::packet::{PacketSampler, SamplePacket};
 use crate::math::lanes::*;
 
+/// Ratio of the densities of two samples below which the step between them is bisected.
+pub(super) const EDGE_RATIO: f32 = 0.65;
 /// Bisections of the step in which the density crosses a mean.
 pub(super) const EDGE_STEPS: u32 = 4;
 /// Samples that search a step for a layer thinner than it.
@@ -221,10 +223,10 @@ struct Crossing<S: Simd> {
     far_found: mask32x8<S>,
 }
 
-/// Which densities are more than twice as high as others, and which less than half as high.
+/// Whether the steps between samples of these densities are bisected.
 #[inline(always)]
-fn differs<S: Simd>(depth: f32x8<S>, other: f32x8<S>) -> (mask32x8<S>, mask32x8<S>) {
-    (other.simd_lt(depth * 0.5), depth.simd_lt(other * 0.5))
+fn differs<S: Simd>(depth: f32x8<S>, other: f32x8<S>) -> mask32x8<S> {
+    depth.min(other).simd_lt(depth.max(other) * EDGE_RATIO)
 }
 
 /// Where a mask cuts away, but not wholly.
@@ -467,17 +469,15 @@ impl PacketSampler<'_> {
             through_cut: none,
         };
         let (mut before, mut behind) = (segment.select(*spacing, half), segment.select(zero, half));
-        let (rises, falls) = differs(depth, previous.depth);
-        extents.entered = visible & rises;
-        let crossed = extents.entered | (visible & falls & !segment);
+        extents.entered = visible & previous.depth.simd_lt(depth * 0.5);
+        let crossed = extents.entered | (visible & differs(depth, previous.depth) & !segment);
         if crossed.any_true() {
             before = self.front_edge(simd, rays, found, (crossed, segment), before, &mut extents);
         }
-        let (falls, rises) = differs(depth, next.depth);
         let crossed = visible
             & !found.hidden
             & self.sees_behind(sample, rays.step)
-            & ((!segment & (falls | rises)) | (segment & next.sampled & !next.present));
+            & ((!segment & differs(depth, next.depth)) | (segment & next.sampled & !next.present));
         if crossed.any_true() {
             let bracket = Bracket {
                 start: SurfaceEntries {
@@ -490,7 +490,7 @@ impl PacketSampler<'_> {
                 far_depth: next.depth,
                 far_present: next.present,
                 enough: (depth + next.depth) * 0.5,
-                dense_here: falls | segment,
+                dense_here: next.depth.simd_lt(depth) | segment,
                 lanes: crossed,
                 near_shape: found.near_cut,
             };
@@ -528,7 +528,7 @@ impl PacketSampler<'_> {
             direction: -rays.direction,
             width: found.spacing,
             enough: from_cut.select(f32x8::splat(simd, -1.0), (depth + previous.depth) * 0.5),
-            dense_here: entered,
+            dense_here: previous.depth.simd_lt(depth),
             lanes: crossed,
             near_shape: found.near_cut,
         };
