@@ -4,7 +4,7 @@ use crate::closed_forms::picture;
 use crate::metrics::{STEP, difference};
 use crate::scenes::assets;
 use incise::prepare::Prepared;
-use incise::scene::{Deformation, Mode, Projection, Scene};
+use incise::scene::{Deformation, Mode, Projection, Scene, VolumeFilter};
 use incise::transfer::ControlPoint;
 use incise::volume::phantom;
 
@@ -42,6 +42,7 @@ pub fn voxels_approach_their_function() {
         // Samples 2 mm apart for all sizes of voxels.
         scene.render.step = 2.0 * size / 160.0;
         scene.render.normals = incise::scene::Normals::None;
+        scene.render.filter = VolumeFilter::Linear;
         picture(&Prepared::new(&scene, &assets(&scene)).unwrap())
     };
     let differences = [16, 32, 64].map(|size| {

@@ -26,7 +26,8 @@ pub(super) fn from_version_1(table: &mut Table) {
             deformation.get("kind").and_then(Value::as_str),
             Some("field" | "map")
         );
-        if !is_file && !states("matrix") && !(states("center") && states("size")) {
+        let is_placed = states("matrix") || states("center") && states("size");
+        if !(is_file || is_placed) {
             state(deformation, "placement", Value::String("volume".into()));
         }
     }

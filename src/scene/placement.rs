@@ -129,7 +129,7 @@ fn template(kind: &Kind) -> Option<Template> {
         "spline-pull" => on(Y, [0.85, 0.85], 0.4, 0.6),
         "wave" | "planar-wave" => on(X, [0.85, 0.85], 0.35, 0.35),
         "bulge" => on(Y, [0.9, 0.9], 0.65, 0.25),
-        "peel" => Template::Flap([0.56, 0.47]),
+        "peel" => Template::Flap([0.54, 0.45]),
         "seam" => on(X, [0.95, 0.8], 0.4, 0.15),
         "knife" => on(Y, [0.95, 0.85], 0.22, 0.03),
         "retractor" => on(X, [1.0, 0.7], 0.2, 0.03),
