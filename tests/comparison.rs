@@ -117,6 +117,8 @@ pub fn a_sweep_is_whole_and_converges() {
         "made/here",
         "--steps",
         "0.5,1,2",
+        "--filter",
+        "linear",
         "--size",
         "48x40",
         "--backend",

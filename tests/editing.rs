@@ -11,13 +11,15 @@ use incise::picture::Picture;
 use incise::prepare::{Assets, PrepareOptions, Prepared};
 use incise::render::{Renderer, Strategy, Work};
 use incise::scene::surface::{MeshSource, Representation, ShapeSource};
-use incise::scene::{Antialias, DefaultPlacement, Deformation, Mode, Projection, Scene};
+use incise::scene::{Antialias, DefaultPlacement, Deformation, Mode, Projection, Scene, VolumeFilter};
 
 /// Two displacement maps over a small head.
 fn scene(mode: Mode) -> Scene {
     let mut scene = Scene::of_volume("phantom:head-ct:size=48");
     (scene.render.size, scene.render.antialias) = ([64, 64], Antialias::OFF);
     scene.render.mode = mode;
+    // Linear interpolation stores gradients.
+    scene.render.filter = VolumeFilter::Linear;
     for kind in ["twist", "peel"] {
         let mut deformation = Deformation::new(kind);
         (deformation.resolution, deformation.center) = (Some(16), Some([0.0, 0.0, 20.0]));

@@ -193,7 +193,12 @@ impl<'a> VolumeObject<'a> {
         options: &PrepareOptions,
     ) -> Result<Arc<Macrocells>> {
         let settings = &scene.render;
-        let slant = scene.camera.slant(settings.size);
+        // Slices meet rays at an angle; samples of rays are a step apart.
+        let slant = if settings.mode == Mode::Slice {
+            scene.camera.slant(settings.size)
+        } else {
+            1.0
+        };
         let step_back_mm = 1.01 * spacing.step_mm * slant;
         if !settings.empty_space_skipping {
             return Ok(Macrocells::solid(bounds.grown(step_back_mm)).into());

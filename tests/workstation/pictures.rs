@@ -12,7 +12,7 @@ use incise::gui::state::shown::DisplayedPicture;
 use incise::gui::views::letters;
 use incise::prepare::{Assets, Deformed};
 use incise::scene::measure::Measure;
-use incise::scene::{Antialias, Projection, Size, SliceOrder};
+use incise::scene::{Antialias, Projection, Size, SliceOrder, VolumeFilter};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -346,6 +346,7 @@ fn rendered(
     (scene.render.size, scene.render.step) = (size.map(|n| n as u32), facts.step);
     if facts.is_draft {
         scene.render.antialias = Antialias::OFF;
+        scene.render.filter = VolumeFilter::Linear;
         if scene.render.mode == Mode::Slice {
             scene.render.slab = scene.render.slab.max(DRAFT_SLAB);
             scene.render.slice_order = SliceOrder::FrontToBack;

@@ -488,7 +488,10 @@ pub fn views_turn_pan_and_zoom() {
         .stack
         .source_and_alpha(hover.deformed.unwrap())
         .0;
-    assert!(hover.source.distance(expected) < 0.1 && hover.value.is_some());
+    assert!(
+        hover.source.distance(expected) < 0.1 && hover.value.is_some(),
+        "{hover:?}: {expected}"
+    );
     // Space, while held, shows the undeformed scene.
     bench.harness.key_down(Key::Space);
     bench.step();
