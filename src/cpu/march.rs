@@ -7,7 +7,7 @@
 //! together. A ray waits while its neighbours sample, never while they shade.
 //!
 //! A visible sample is shaded when the next one is known, since what it represents depends on both
-//! of its neighbours ([`super::edges`]). A neighbour in an empty cell is known to show nothing.
+//! of its neighbours (`edges.rs`). A neighbour in an empty cell is known to show nothing.
 //!
 //! Most samples are *plain*: they are farther from every cut than the distance at which a cut
 //! affects lighting. Near a face of the volume's own box, they are farther than the distance at

@@ -17,7 +17,7 @@
 //! - The faces of the volume's own box are cuts too: material cut off at a scan's edge is lit as at
 //!   any other cut.
 //! - What a sample represents of its ray, and where the ray enters material, is found first
-//!   ([`super::edges`]); a sample just behind a surface is shaded where the ray enters it.
+//!   (`edges.rs`); a sample just behind a surface is shaded where the ray enters it.
 //! - The transfer function defines the outside of a surface: where opacity falls. (Only one-sided
 //!   light needs this.)
 //! - In uniform regions the gradient is noise. Its weight fades with its magnitude, and samples

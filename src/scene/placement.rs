@@ -1,7 +1,7 @@
 //! Where a deformation lies if its numbers are left out: on what is seen.
 //!
 //! [`VisibleObject`] is what a camera sees of a scene ([`crate::prepare::placement`] finds it). A
-//! kind has a [`Template`]: on the surface in the middle of the view, with the box's z along the
+//! kind has a `Template`: on the surface in the middle of the view, with the box's z along the
 //! surface's normal, or about the whole object, on the side that faces the viewer. Lengths are
 //! shares of the object's extent in the picture; depths are a few per cent of it, on a head the
 //! scalp and the skull. A number that the user states is kept.
