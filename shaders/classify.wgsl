@@ -422,8 +422,8 @@ fn cell_is_visible(cell: Box) -> bool {
     }
     let reached = grown(cell, vec3<f32>(grid.cut_lookback_mm));
     let distance_range = signed_distance_range(reached);
-    let all = box_visibility(reached);
-    return all.something && (all.is_near_cut || (distance_range.x < 0.0 && distance_range.y >= 0.0));
+    let near_shape = distance_range.x < 0.0 && distance_range.y >= 0.0;
+    return (own.is_near_cut || near_shape || mask_varies(reached)) && box_visibility(reached).something;
 }
 
 // Whether some texel within one texel of a box, in world coordinates, has a mask below 1.

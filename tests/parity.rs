@@ -5,7 +5,7 @@
 //! adapter fails.
 
 use crate::contract::points;
-use crate::metrics::{Difference, STEP, difference};
+use crate::metrics::{STEP, difference};
 use crate::scenes;
 use incise::Watch;
 use incise::cpu;
@@ -179,12 +179,6 @@ fn with_strategy<T>(strategy: Strategy, work: impl FnOnce(&mut Renderer) -> T) -
         r.set_strategy(own);
         done.unwrap_or_else(|e| std::panic::resume_unwind(e))
     })
-}
-
-/// How far the pictures of the CPU and of the device are apart.
-pub fn apart(prepared: &Prepared) -> Difference {
-    let by_gpu = with_renderer(|r| r.render(prepared, false, &Watch::NONE).unwrap()).picture;
-    difference(&cpu::render(prepared).picture, &by_gpu).unwrap()
 }
 
 pub fn agree(what: &str, prepared: &Prepared) {

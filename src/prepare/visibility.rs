@@ -108,11 +108,11 @@ impl VisibilityCriteria<'_> {
 
     /// The visibility of a box of the deformed scene, including what its samples read around it.
     pub(super) fn visibility(&self, deformed: &Bounds) -> BoxVisibility {
-        let visibility = self.box_visibility(&deformed.grown(self.lookback_mm)).0;
+        let (visibility, is_near_cut) = self.box_visibility(&deformed.grown(self.lookback_mm));
         if visibility == BoxVisibility::Invisible && self.cut_lookback_mm > self.lookback_mm {
-            let (reached, is_near_cut) = self.box_visibility(&deformed.grown(self.cut_lookback_mm));
-            if is_near_cut || self.is_near_cut_shape(deformed) {
-                return reached;
+            let reached = deformed.grown(self.cut_lookback_mm);
+            if is_near_cut || self.stack.mask_varies(&reached) || self.is_near_cut_shape(deformed) {
+                return self.box_visibility(&reached).0;
             }
         }
         visibility
