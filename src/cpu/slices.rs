@@ -12,8 +12,8 @@
 //! slices before the next one starts. A polygon covers the pixels whose centres it contains; a
 //! centre on an edge that two triangles share belongs to one of them, as on a GPU. Nothing of a ray
 //! is stored between two slices but the colour composited so far: each fragment is sampled and
-//! shaded on its own. This renderer shares with [`super::march`] what a sample is, and nothing
-//! else; in an orthographic view, where both take the same samples, they must agree to rounding.
+//! shaded on its own. This renderer shares with [`super::march`] what a sample is and represents, and
+//! nothing else; in an orthographic view, where both take the same samples, they must agree to rounding.
 //!
 //! Options, as on the GPU: slabs of several slices composited before they are blended; front to
 //! back with an end at opaque pixels; blending in 16 bits.
@@ -404,7 +404,7 @@ impl Slicer<'_> {
     }
 
     /// Samples a slice at eight pixels: thin layers in front of the slice, and its samples; none if
-    /// neither have anything to shade. Values of projections are added at once.
+    /// neither has anything to shade. Values of projections are added at once.
     #[inline(always)]
     fn fragment_sample<S: Simd>(
         &self,

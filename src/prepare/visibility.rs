@@ -16,9 +16,9 @@ pub struct VisibilityCriteria<'a> {
     pub iso: Option<f32>,
     /// Whether cut faces show everything they cut.
     pub grey_faces: bool,
-    /// How far back along the ray every sample reads, mm.
+    /// How far from every sample what it shows may lie, mm.
     pub lookback_mm: f32,
-    /// How far back a sample near a cut or a face of the volume reads.
+    /// The same near a cut or a face of the volume.
     pub cut_lookback_mm: f32,
     /// Distance within which a shape affects a sample, mm.
     pub cut_margin_mm: f32,
