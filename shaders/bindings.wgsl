@@ -33,8 +33,8 @@
 // Distance of a pixel without a surface.
 const FAR_AWAY: f32 = 1e30;
 
-// 1: the voxels have colours of their own.
-override COLORS: u32 = 0u;
+// Whether the voxels have colours of their own, and which one a sample has between them.
+override COLORS: u32 = COLORS_NONE;
 // 1: there are surfaces behind the volume.
 override BEHIND: u32 = 0u;
 // 1: what is drawn is not a picture but a list of samples of one, row by row.

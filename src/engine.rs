@@ -22,7 +22,7 @@ use crate::picture::StageTimes;
 use crate::prepare::{AssetKey, Assets, LoadOptions, PrepareOptions, Prepared};
 #[cfg(feature = "gpu")]
 use crate::render::Renderer;
-use crate::scene::{Antialias, Mode, Scene, SliceOrder, VolumeFilter};
+use crate::scene::{Antialias, Mode, Scene, SliceOrder};
 use crate::{Error, Result, Watch, cpu};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -83,7 +83,6 @@ impl Quality {
         draft.render.size = draft.render.size.map(|n| ((n as f32 / scale) as u32).max(16));
         draft.render.step = (draft.render.step * if scale > 1.5 { 2.0 } else { 1.0 }).min(100.0);
         draft.render.antialias = Antialias::OFF;
-        draft.render.filter = VolumeFilter::Linear;
         if draft.render.mode == Mode::Slice {
             draft.render.slab = draft.render.slab.max(DRAFT_SLAB);
             draft.render.slice_order = SliceOrder::FrontToBack;
@@ -110,6 +109,15 @@ impl Default for RenderRequest<'_> {
             count_samples: false,
             watch: Watch::NONE,
         }
+    }
+}
+
+impl<'a> RenderRequest<'a> {
+    /// How the scene is prepared for it.
+    fn options(&self, options: PrepareOptions<'a>) -> PrepareOptions<'a> {
+        options
+            .interpolated_linearly(self.quality != Quality::Full)
+            .watched(&self.watch)
     }
 }
 
@@ -312,7 +320,8 @@ impl Engine {
             Attempt::Cpu(reason) => reason,
         };
         request.watch.check()?;
-        let prepared = Prepared::with(&scene, assets, &PrepareOptions::default().watched(&request.watch))?;
+        let options = request.options(PrepareOptions::default());
+        let prepared = Prepared::with(&scene, assets, &options)?;
         let mut rendered = cpu::render_watched(&prepared, &request.watch)?;
         rendered.notices.extend(over_limit);
         Ok(ScenePicture {
@@ -425,11 +434,8 @@ impl Engine {
                 Err(Error::Gpu("the device was lost".into()))
             } else {
                 let attempt = || -> Result<_> {
-                    let prepared = Prepared::with(
-                        scene,
-                        assets,
-                        &PrepareOptions::on(renderer).watched(&request.watch),
-                    )?;
+                    let options = request.options(PrepareOptions::on(renderer));
+                    let prepared = Prepared::with(scene, assets, &options)?;
                     let rendered = renderer.render(&prepared, request.count_samples, &request.watch)?;
                     Ok((prepared, rendered))
                 };

@@ -394,7 +394,7 @@ pub fn segments_and_shifts_agree_between_modes() {
             s.render.jitter,
             s.render.mode,
             s.render.step,
-        ) = (preintegrated, jitter, mode, step);
+        ) = (Some(preintegrated), jitter, mode, step);
         let prepared = Prepared::new(&s, &assets).unwrap();
         with_renderer(|r| r.render(&prepared, false, &Watch::NONE).unwrap()).picture
     };

@@ -323,7 +323,7 @@ fn options_agree() {
     });
     add("cubic", &|s| s.render.filter = VolumeFilter::Cubic);
     add("cubic, preintegrated, gradient opacity", &|s| {
-        (s.render.filter, s.render.preintegrated) = (VolumeFilter::Cubic, true);
+        (s.render.filter, s.render.preintegrated) = (VolumeFilter::Cubic, Some(true));
         s.transfer.gradient_opacity = vec![
             GradientPoint {
                 magnitude: 0.0,
@@ -367,11 +367,11 @@ fn options_agree() {
     add("step 0.5", &|s| s.render.step = 0.5);
     add("jitter", &|s| s.render.jitter = true);
     add("preintegrated", &|s| {
-        s.render.preintegrated = true;
+        s.render.preintegrated = Some(true);
         s.transfer.preset = Some("ct-bones-and-muscle".into());
     });
     add("preintegrated, step 2, jitter", &|s| {
-        (s.render.preintegrated, s.render.jitter, s.render.step) = (true, true, 2.0);
+        (s.render.preintegrated, s.render.jitter, s.render.step) = (Some(true), true, 2.0);
     });
     add("round an axis", &|s| {
         let mut shells = Deformation::new("slab");

@@ -163,7 +163,7 @@ pub fn sampling_moves_nothing() {
     let mut other = own.clone();
     (other.render.mode, other.render.step) = (Mode::Slice, 2.0);
     (other.render.empty_space_skipping, other.render.size) = (false, [300, 300]);
-    (other.render.antialias, other.render.preintegrated) = (Antialias::Grid(2), true);
+    (other.render.antialias, other.render.preintegrated) = (Antialias::Grid(2), Some(true));
     assert_eq!(placed(&other, &assets).unwrap().deformation, first.deformation);
 }
 

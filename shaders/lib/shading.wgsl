@@ -79,10 +79,64 @@ fn cut_in_front(cut: NearestCut, s: VisibleSample, direction: vec3<f32>) -> Near
     return cut;
 }
 
+// The colour of the label with the largest interpolated margin. Counterpart: Colors::sample in
+// src/volume/colors.rs.
+fn elected_color(in_voxel: vec3<f32>) -> vec3<f32> {
+    let size = vec3<f32>(textureDimensions(colors));
+    let texels_per_voxel = size / frame.texture_size;
+    let q = clamp((in_voxel + 0.5) * texels_per_voxel - 0.5, vec3<f32>(0.0), size - 1.0);
+    let base = floor(q);
+    let f = q - base;
+    var texels: array<vec4<f32>, 8>;
+    for (var n = 0; n < 8; n += 1) {
+        let at = vec3<i32>(n & 1, (n >> 1u) & 1, n >> 2u);
+        let texel = textureLoad(colors, min(vec3<i32>(base) + at, vec3<i32>(size) - 1), 0);
+        let weights = select(1.0 - f, f, at == vec3<i32>(1));
+        texels[n] = vec4<f32>(texel.rgb, texel.a * weights.x * weights.y * weights.z);
+    }
+    var color = vec3<f32>(0.0);
+    var most = 0.0;
+    for (var n = 0; n < 8; n += 1) {
+        var sum = 0.0;
+        for (var m = 0; m < 8; m += 1) {
+            sum += select(0.0, texels[m].a, all(texels[m].rgb == texels[n].rgb));
+        }
+        if texels[n].a > 0.0 && sum > most {
+            color = texels[n].rgb;
+            most = sum;
+        }
+    }
+    if most > 0.0 {
+        return color;
+    }
+    return nearest_label(q);
+}
+
+// The colour of the labelled texel nearest to a position, the first of several, among the 64 around
+// it. Counterpart: Colors::nearest_label in src/volume/colors.rs.
+fn nearest_label(q: vec3<f32>) -> vec3<f32> {
+    let last = vec3<i32>(textureDimensions(colors)) - 1;
+    var color = vec3<f32>(0.0);
+    var nearest = 64.0;
+    for (var n = 0; n < 64; n += 1) {
+        let texel = vec3<i32>(floor(q)) + vec3<i32>(n & 3, (n >> 2u) & 3, n >> 4u) - 1;
+        let c = textureLoad(colors, clamp(texel, vec3<i32>(0), last), 0);
+        let away = vec3<f32>(texel) - q;
+        if c.a > 0.0 && dot(away, away) < nearest {
+            color = c.rgb;
+            nearest = dot(away, away);
+        }
+    }
+    return color;
+}
+
 // The voxel's own colour if it has one, else `otherwise`.
 fn own_color(in_voxel: vec3<f32>, otherwise: vec3<f32>) -> vec3<f32> {
-    if COLORS == 0u {
+    if COLORS == COLORS_NONE {
         return otherwise;
+    }
+    if COLORS == COLORS_ELECTED {
+        return elected_color(in_voxel);
     }
     let c = sample_colors(in_voxel);
     return clamp(c.rgb / max(c.a, 1.0 / 1024.0), vec3<f32>(0.0), vec3<f32>(1.0));

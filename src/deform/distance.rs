@@ -3,10 +3,12 @@
 //! ([`crate::model`], "Surfaces").
 //!
 //! The distance is exact to the voxels' boxes; one pass of a 1-2-1 filter removes their staircase.
+//! Near the surface of labels it is that to their smoothed surface ([`smooth_mask`]).
 
+use crate::math::arrays::shaped;
 use crate::math::distance::{connected, largest_part, squared_distance};
-use crate::math::{DistanceGrid, to_f32};
-use crate::volume::Volume;
+use crate::math::{DistanceGrid, flat, redistance, smoothstep, to_f32};
+use crate::volume::{Volume, smooth_mask};
 use glam::{Affine3A, Vec3};
 use ndarray::{Array3, Axis, Zip};
 
@@ -56,6 +58,10 @@ pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option
     if count == 0 || count == mask.len() {
         return None;
     }
+    let near = match region {
+        RegionSource::Labels(_) if smooth => Some(near_surface(&mask, size, spacing)),
+        _ => None,
+    };
     let to_inside = squared_distance(&mask, spacing.into());
     mask.par_mapv_inplace(|m| !m);
     let to_outside = squared_distance(&mask, spacing.into());
@@ -64,10 +70,10 @@ pub fn of_region(volume: &Volume, region: &RegionSource, smooth: bool) -> Option
         .par_map_collect(|o, i| o.sqrt() - i.sqrt());
     let world_from_grid = to_f32(&volume.world_from_voxel) * Affine3A::from_scale(Vec3::splat(stride as f32));
     Some(DistanceGrid::new(
-        if smooth {
-            keeping_sides(smoothed(signed.clone()), &signed)
-        } else {
-            signed
+        match near {
+            Some(near) => joined(near, &signed, spacing.max_element()),
+            None if smooth => keeping_sides(smoothed(signed.clone()), &signed),
+            None => signed,
         },
         world_from_grid,
     ))
@@ -102,6 +108,32 @@ impl LabelSet {
             && (self.bits.get(label / 64).is_some_and(listed)
                 || !self.large.is_empty() && self.large.contains(&label))
     }
+}
+
+/// Voxels from the surface of labels within which distances are those to their smoothed surface,
+/// and beyond which they are those to the voxels' boxes.
+const NEAR_VOXELS: [f32; 2] = [2.0, 4.0];
+
+/// Distances to the smoothed surface of a mask, near it.
+fn near_surface(mask: &Array3<bool>, size: [usize; 3], spacing: Vec3) -> Array3<f32> {
+    let mut values: Vec<f32> = smooth_mask(flat(mask), size).into_iter().map(f32::from).collect();
+    redistance(
+        &mut values,
+        size,
+        spacing.into(),
+        (NEAR_VOXELS[1] + 1.0) * spacing.max_element(),
+    );
+    shaped(size, values)
+}
+
+/// Distances that change from those near the surface to those far from it.
+fn joined(mut near: Array3<f32>, far: &Array3<f32>, voxel_mm: f32) -> Array3<f32> {
+    let [from, to] = NEAR_VOXELS;
+    Zip::from(&mut near).and(far).par_for_each(|near, far| {
+        let share = smoothstep(from, to, far.abs() / voxel_mm);
+        *near += (far - *near) * share;
+    });
+    near
 }
 
 /// Smoothing must not lose structures one voxel thick: every point stays on its side.

@@ -7,7 +7,7 @@ use crate::deform::Library;
 use crate::math::Bounds;
 use crate::picture::StageTimes;
 use crate::scene::surface::{Appearance, MeshSource};
-use crate::scene::{Mode, Scene, VolumeSource};
+use crate::scene::{Mode, Scene, VolumeFilter, VolumeSource};
 use crate::volume::load::ReadOptions;
 use crate::volume::{Volume, VoxelGrid, load};
 use crate::{Error, Result, Watch};
@@ -66,8 +66,8 @@ pub struct Assets {
     source: Option<(PathBuf, ReadOptions)>,
     /// The separate label map of the scene, if it has one.
     pub separate_labels: Option<Arc<Volume>>,
-    /// A label map as colours, made when first shown.
-    sampled_labels: OnceLock<Option<SampledVolume>>,
+    /// A label map as colours, voxel by voxel and with smooth boundaries, made when first shown.
+    sampled_labels: [OnceLock<Option<SampledVolume>>; 2],
     /// Additional inputs of deformations.
     pub library: Arc<Library>,
     /// Meshes and distance fields.
@@ -204,7 +204,7 @@ impl Assets {
             sampled,
             source: None,
             separate_labels: None,
-            sampled_labels: OnceLock::new(),
+            sampled_labels: [OnceLock::new(), OnceLock::new()],
             library,
             objects: ObjectCache::default(),
             inside_meshes: InsideCache::default(),
@@ -232,7 +232,7 @@ impl Assets {
     pub fn label_map(&self) -> Result<&Arc<Volume>> {
         match &self.separate_labels {
             Some(map) => Ok(map),
-            None if self.has_volume && self.sampled_labels().is_some() => Ok(&self.volume),
+            None if self.has_volume && self.volume.labels().is_some() => Ok(&self.volume),
             None => Err(Error::value(
                 "volume.labels",
                 "there is no label map; set volume.labels, or add one in the workstation",
@@ -250,10 +250,12 @@ impl Assets {
         &self.sampled
     }
 
-    /// The grid of a label map shown as colours; none if the volume is not a label map.
-    pub(super) fn sampled_labels(&self) -> Option<&SampledVolume> {
-        self.sampled_labels
-            .get_or_init(|| VoxelGrid::of_labels(&self.volume).map(SampledVolume::new))
+    /// The grid of a label map shown as colours, with smooth boundaries if it is interpolated by
+    /// splines; none if the volume is not a label map.
+    pub(super) fn sampled_labels(&self, filter: VolumeFilter) -> Option<&SampledVolume> {
+        let smooth = filter == VolumeFilter::Cubic;
+        self.sampled_labels[usize::from(smooth)]
+            .get_or_init(|| VoxelGrid::of_labels(&self.volume, smooth).map(SampledVolume::new))
             .as_ref()
     }
 }

@@ -328,9 +328,10 @@ fn changed(scene: &Scene) -> Vec<String> {
             .collect()
     }
     let mut all = of("render", &scene.render, &RenderSettings::default());
-    // Scenes of version 1 are linear without saying so, and where nothing is interpolated by
-    // splines, "linear" asks for nothing else.
-    all.retain(|key| key != "render.filter");
+    // Scenes of version 1 refuse splines and segments without saying so, and where there are none
+    // to be had, that asks for nothing else.
+    let refuses = |key: &str| key == "render.preintegrated" && scene.render.preintegrated == Some(false);
+    all.retain(|key| key != "render.filter" && !refuses(key));
     all.extend(of("light", &scene.light, &Light::default()));
     all.extend(of("surface", &scene.surface, &SurfaceSettings::default()));
     all.extend(of("camera", &scene.camera, &Camera::default()));

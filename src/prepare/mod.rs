@@ -56,6 +56,9 @@ pub struct PrepareOptions<'a> {
     pub accelerator: &'a dyn Accelerator,
     /// Maps that do not come from a kind, applied after the scene's own.
     pub more_maps: &'a [PlacedMap],
+    /// Whether volumes are interpolated linearly, whatever the scene says: for drafts. The
+    /// boundaries of labels stay where the scene's filter has them.
+    pub linear: bool,
     /// Receives the completed fraction, and can cancel.
     pub watch: Watch<'a>,
 }
@@ -65,6 +68,7 @@ impl Default for PrepareOptions<'_> {
         Self {
             accelerator: &CpuOnly,
             more_maps: &[],
+            linear: false,
             watch: Watch::NONE,
         }
     }
@@ -85,6 +89,12 @@ impl<'a> PrepareOptions<'a> {
             more_maps,
             ..Self::default()
         }
+    }
+
+    /// The same, interpolated linearly or as the scene says.
+    #[must_use]
+    pub fn interpolated_linearly(self, linear: bool) -> Self {
+        Self { linear, ..self }
     }
 
     /// The same, with progress and cancellation.

@@ -96,7 +96,7 @@ impl<'a> Prepared<'a> {
 
     /// Whether colour and opacity are those of segments between samples.
     pub fn preintegrated(&self) -> bool {
-        self.settings.preintegrated && self.volume().blend == Blend::Composite && self.volume().iso.is_none()
+        self.volume().preintegrated
     }
 
     /// A small part of the greatest optical depth that the volume shows anywhere: between samples

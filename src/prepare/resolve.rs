@@ -12,7 +12,7 @@ use super::volume::{Classifier, VolumeObject};
 use crate::deform::kinds;
 use crate::math::normalize_or;
 use crate::picture::StageTimes;
-use crate::scene::{Deformation, Light, Scene, ViewFrame};
+use crate::scene::{Deformation, Light, Scene, ViewFrame, VolumeFilter};
 use crate::{Result, Watch};
 use glam::Vec3;
 
@@ -68,7 +68,10 @@ impl<'a> Prepared<'a> {
         scene.check()?;
         let mut stages = StageTimes::default();
         let scene = &*stages.time("placement", || placed(scene, assets))?;
-        let settings = scene.render.clone();
+        let mut settings = scene.render.clone();
+        if options.linear {
+            settings.filter = VolumeFilter::Linear;
+        }
         let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;

@@ -19,11 +19,17 @@ pub struct SampledVolume {
     /// Bounds of their normalised values.
     pub bounds: MinMaxPyramid<1>,
     gradients: OnceLock<Option<GradientVolume>>,
+    value_steps: OnceLock<Vec<[f32; 2]>>,
     /// Number of pictures that could use the gradients.
     pictures: AtomicUsize,
     /// The most recently used last.
     macrocells: Mutex<Vec<(MacrocellKey, Arc<Macrocells>)>>,
 }
+
+/// Number of voxels whose neighbours tell how fast values change.
+const MAX_VALUE_STEPS: usize = 1 << 17;
+/// The fractional part of the golden section.
+const GOLDEN_SECTION: f64 = 0.618_033_988_749_895;
 
 /// Number of cached macrocell grids: a window shows one scene in several views.
 const MAX_CACHED_MACROCELLS: usize = 4;
@@ -36,6 +42,7 @@ impl SampledVolume {
             grid,
             bounds,
             gradients: OnceLock::new(),
+            value_steps: OnceLock::new(),
             pictures: AtomicUsize::new(0),
             macrocells: Mutex::default(),
         }
@@ -79,6 +86,33 @@ impl SampledVolume {
         }
         entries.push((inputs, cells.clone()));
         Ok(cells)
+    }
+
+    /// Normalised values at both ends of steps along the axes, at voxels spread over the grid: how
+    /// fast the values change. `step`: voxels along each axis per reference length, a property of
+    /// the grid.
+    pub fn value_steps(&self, step: Vec3) -> &[[f32; 2]] {
+        self.value_steps.get_or_init(|| {
+            let [nx, ny, nz] = self.grid.size;
+            let count = nx * ny * nz;
+            let at = |n: usize| {
+                // Multiples of the golden section are spread evenly, along rows as well.
+                let part = (n as f64 * GOLDEN_SECTION).fract();
+                let index = ((part * count as f64) as usize).min(count - 1);
+                [index % nx, index / nx % ny, index / (nx * ny)]
+            };
+            let along = |at: [usize; 3], axis: usize| {
+                let mut next = at;
+                next[axis] += 1;
+                let [a, b] = [at, next].map(|[i, j, k]| self.grid.value(i, j, k));
+                (!self.grid.has_holes || a.min(b) >= -1e-4).then(|| [a, a + (b - a) * step[axis]])
+            };
+            (0..MAX_VALUE_STEPS.min(count))
+                .map(|n| (at(n), n % 3))
+                .filter(|(at, axis)| at[*axis] + 1 < self.grid.size[*axis])
+                .filter_map(|(at, axis)| along(at, axis))
+                .collect()
+        })
     }
 
     /// Counts one more picture that could use the gradients; returns the count.

@@ -7,12 +7,16 @@ use super::macrocells::{Macrocells, VisibilityCriteria};
 use super::sampled::SampledVolume;
 use super::spacing::{SampleSpacing, cut_margin_mm};
 use crate::math::{Bounds, to_f32};
-use crate::scene::{CutFaces, Mode, Scene};
-use crate::transfer::{Blend, OWN_COLORS, TransferFunction, TransferTable};
+use crate::scene::{CutFaces, Mode, Scene, VolumeFilter};
+use crate::transfer::{Blend, OWN_COLORS, TransferFunction, TransferTable, single_value_error};
 use crate::volume::{Colors, Volume, VoxelGrid};
 use crate::{Error, Result};
 use glam::{Affine3A, Vec3};
 use std::sync::Arc;
+
+/// The mean error of single values above which segments are pre-integrated: below it, what differs
+/// is hardly seen, and edges found by bisection are the more exact.
+const MAX_SINGLE_VALUE_ERROR: f32 = 0.02;
 
 /// A volume shown by a scene, or the empty one of a scene without any.
 pub struct VolumeObject<'a> {
@@ -36,6 +40,8 @@ pub struct VolumeObject<'a> {
     pub grey_window: [f32; 2],
     /// Empty space.
     pub macrocells: Arc<Macrocells>,
+    /// Whether colour and opacity are those of segments between samples.
+    pub(super) preintegrated: bool,
     /// Whether the scene has a volume; without one, this one is empty.
     pub(super) is_present: bool,
     /// The smallest and largest value, data units.
@@ -70,8 +76,11 @@ impl<'a> Classifier<'a> {
             && transfer.preset.as_deref().unwrap_or(fallback) == "labels"
             && scene.render.iso.is_none()
             && scene.render.cut_faces == CutFaces::Lit;
-        if let Some(sampled) = by_label.then(|| assets.sampled_labels()).flatten() {
-            let function = function.of_presence();
+        if let Some(sampled) = by_label
+            .then(|| assets.sampled_labels(scene.render.filter))
+            .flatten()
+        {
+            let function = function.of_presence(scene.render.filter == VolumeFilter::Cubic);
             let table = TransferTable::new(&function, [0.0, 1.0]);
             return Ok(Self {
                 sampled,
@@ -136,15 +145,35 @@ impl<'a> VolumeObject<'a> {
                 .window(scene.transfer.window, scene.transfer.level)
                 .map(normalised),
             macrocells: Arc::new(Macrocells::solid(Bounds::EMPTY)),
+            preintegrated: false,
             is_present: assets.has_volume,
             value_range: volume.range,
             has_no_values: volume.non_finite == volume.voxels.len(),
         };
         if scene.render.mode != Mode::Surface && assets.has_volume {
+            object.preintegrated = object.is_preintegrated(scene, volume, spacing);
             let bounds = deformed.stack.deformed_bounds(&volume.bounds_in_world());
             object.macrocells = object.empty_space(scene, deformed, bounds, spacing, options)?;
         }
         Ok(object)
+    }
+
+    /// Whether the scene wants segments between samples: as it says or, unless it says so, where
+    /// the transfer function is too steep for the steps.
+    fn is_preintegrated(&self, scene: &Scene, volume: &Volume, spacing: &SampleSpacing) -> bool {
+        if self.blend != Blend::Composite || self.iso.is_some() {
+            return false;
+        }
+        scene.render.preintegrated.unwrap_or_else(|| {
+            let reference = f64::from(spacing.reference_mm);
+            let length = scene.render.step;
+            let steps = self
+                .sampled
+                .value_steps((reference / volume.spacing_mm()).as_vec3())
+                .iter()
+                .map(|&[a, b]| [a, a + (b - a) * length]);
+            single_value_error(&self.table, steps, length) > MAX_SINGLE_VALUE_ERROR
+        })
     }
 
     /// Whether anything is shown at a point of the undeformed scene.
@@ -209,7 +238,7 @@ impl<'a> VolumeObject<'a> {
             cuts: &deformed.cuts,
             iso: self.iso,
             grey_faces,
-            lookback_mm: if self.iso.is_some() || grey_faces || settings.preintegrated {
+            lookback_mm: if self.iso.is_some() || grey_faces || self.preintegrated {
                 step_back_mm
             } else {
                 0.0

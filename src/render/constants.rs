@@ -7,7 +7,7 @@ use crate::mesh::formula::CsgOperation;
 use crate::scene::surface::Steps;
 use crate::scene::{IsoLight, Normals, VolumeFilter};
 use crate::transfer::Blend;
-use crate::volume::GradientFilter;
+use crate::volume::{Colors, GradientFilter};
 use std::sync::LazyLock;
 
 macro_rules! constants {
@@ -76,8 +76,31 @@ pub enum MeshDeformerKind {
     Lattice,
 }
 
+/// The colour of a sample between voxels that have colours of their own.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub enum OwnColors {
+    /// They have none.
+    None,
+    /// Interpolated.
+    Mixed,
+    /// That of one label: see [`Colors::has_margins`].
+    Elected,
+}
+
+impl OwnColors {
+    /// How the colours of a volume are sampled.
+    pub fn of(colors: Option<&Colors>) -> Self {
+        match colors {
+            None => Self::None,
+            Some(colors) if colors.has_margins() => Self::Elected,
+            Some(_) => Self::Mixed,
+        }
+    }
+}
+
 /// The same for enums specific to the GPU.
 const GPU_ENUMS: &[(&str, &str, u32)] = constants! {
+    "COLORS" OwnColors { None, Mixed, Elected }
     "IMPLICIT" ImplicitKind { Grid, Formula, Depth }
     "SOLID" SolidKind { Sphere, Box, Torus, Cylinder, Gyroid }
     "DEFORMER" MeshDeformerKind { Twist, Bend, Taper, Shear, Bulge, Wave, Lattice }

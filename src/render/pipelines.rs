@@ -1,5 +1,6 @@
 //! Pipelines of a picture, compiled once per variant.
 
+use super::constants::OwnColors;
 use super::context::{Context, lock};
 use super::counter::Counter;
 use super::target::{Corner, MASK, PROJECTION_FORMAT};
@@ -48,7 +49,7 @@ impl Context {
                 .iso
                 .filter(|_| scene.volume().blend == Blend::Composite)
                 .map(|_| scene.settings.iso_light),
-            colors: scene.volume().colors.is_some(),
+            colors: OwnColors::of(scene.volume().colors),
             function: if march {
                 self.function(scene.volume().grid)
             } else {

@@ -1,6 +1,6 @@
 //! The settings that distinguish pipelines.
 
-use super::constants;
+use super::constants::{self, OwnColors};
 use crate::gpu::shaders::Program;
 use crate::scene::{IsoLight, Normals, SliceOrder};
 use crate::transfer::Blend;
@@ -29,7 +29,7 @@ pub(super) struct Variant {
     pub(super) listed: bool,
     /// Pixels that are not sampled again are masked.
     pub(super) masked: bool,
-    pub(super) colors: bool,
+    pub(super) colors: OwnColors,
     pub(super) exact: bool,
     pub(super) exact_maps: bool,
     /// The volume's function, by its number.
@@ -50,7 +50,7 @@ pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 16] {
         ("CUTS", variant.cuts as f64),
         ("GREY_FACES", f64::from(u8::from(variant.grey_faces))),
         ("ISO", f64::from(constants::iso(variant.iso))),
-        ("COLORS", f64::from(u8::from(variant.colors))),
+        ("COLORS", f64::from(variant.colors as u32)),
         ("BEHIND", f64::from(u8::from(variant.behind))),
         ("LISTED", f64::from(u8::from(variant.listed))),
         ("EXACT", f64::from(u8::from(variant.exact))),

@@ -8,12 +8,13 @@ use toml::{Table, Value};
 pub(super) const OLDEST_VERSION: u32 = 1;
 
 /// Brings the table of a scene of version 1 to version 2: pictures without antialiasing, linear
-/// interpolation, presets relative to all values, and deformations without numbers in the middle of
-/// the volume.
+/// interpolation, transfer functions that are not pre-integrated, presets relative to all values,
+/// and deformations without numbers in the middle of the volume.
 pub(super) fn from_version_1(table: &mut Table) {
     table.insert("incise".into(), Value::Integer(2));
     state(section(table, "render"), "antialias", Value::Integer(1));
     state(section(table, "render"), "filter", Value::String("linear".into()));
+    state(section(table, "render"), "preintegrated", Value::Boolean(false));
     for deformation in table
         .get_mut("deformation")
         .and_then(Value::as_array_mut)

@@ -355,7 +355,8 @@ pub enum VolumeFilter {
     /// Trilinear, with differences as gradients.
     Linear,
     /// Colours and normals by cubic B-splines with analytic gradients: smooth, at up to twice the
-    /// cost. What is visible is found by trilinear samples.
+    /// cost. What is visible is found by trilinear samples. The boundaries of a label map are
+    /// smoothed, and no colours are mixed between two labels.
     #[default]
     Cubic,
 }
@@ -405,9 +406,10 @@ pub struct RenderSettings {
     /// How the iso-surface is shaded.
     pub iso_light: IsoLight,
     /// Pre-integrated transfer function: colour and opacity come from the values at both ends of
-    /// each step instead of one, so that thin features of the curve stay closed at longer steps.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub preintegrated: bool,
+    /// each step instead of one, so that thin features of the curve stay closed at longer steps. By
+    /// default where the curve is steep for the step and the volume.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preintegrated: Option<bool>,
     /// Jitter each pixel's samples along its ray by a fixed pseudo-random part of a step: banding
     /// becomes fine noise.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -452,7 +454,7 @@ impl Default for RenderSettings {
             cut_faces: CutFaces::Lit,
             iso: None,
             iso_light: IsoLight::Gradient,
-            preintegrated: false,
+            preintegrated: None,
             jitter: false,
             slab: 1,
             slice_order: SliceOrder::BackToFront,

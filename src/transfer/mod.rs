@@ -8,11 +8,13 @@
 
 mod preintegrated;
 mod presets;
+mod step_error;
 mod suitable;
 mod table;
 
 pub use preintegrated::{PREINTEGRATED_SIZE, Preintegrated};
 pub use presets::{OWN_COLORS, Preset, Scale, list, preset};
+pub use step_error::single_value_error;
 pub use suitable::{SuitablePreset, suitable_preset};
 pub use table::{GRADIENT_ENTRIES, TABLE_ENTRIES, TransferTable};
 
@@ -215,9 +217,10 @@ impl TransferFunction {
         [first, last]
     }
 
-    /// The transfer function for the presence (0 or 1) of labels in a label map: transparent below
-    /// one half, this function's highest opacity above.
-    pub fn of_presence(&self) -> Self {
+    /// The transfer function for the presence (0 to 1) of labels in a label map: transparent below
+    /// one half, this function's highest opacity above. `smooth`: presence is continuous.
+    pub fn of_presence(&self, smooth: bool) -> Self {
+        let [none, one] = if smooth { SMOOTH_PRESENCE } else { PRESENCE };
         let opacity = self.points.iter().map(|p| p.opacity).fold(0.0, f32::max);
         let point = |value, opacity| ControlPoint {
             value,
@@ -225,7 +228,7 @@ impl TransferFunction {
             opacity,
         };
         Self {
-            points: vec![point(PRESENCE[0], 0.0), point(PRESENCE[1], opacity)],
+            points: vec![point(none, 0.0), point(one, opacity)],
             gradient_opacity: Vec::new(),
             blend: self.blend,
         }
@@ -259,3 +262,5 @@ impl TransferFunction {
 /// Range of presence over which a label becomes visible: narrow around one half, so that surfaces
 /// lie between voxels.
 const PRESENCE: [f64; 2] = [0.4, 0.6];
+/// The same where it is continuous: no voxel without a label exceeds 126/254.
+const SMOOTH_PRESENCE: [f64; 2] = [0.498, 0.502];

@@ -38,10 +38,10 @@ pub struct Preintegrated {
 }
 
 /// Integrals from the curve's start: of τ, of τ times colour, and of colour.
-struct Integrals(Vec<[f64; 7]>);
+pub(super) struct Integrals(Vec<[f64; 7]>);
 
 impl Integrals {
-    fn new(table: &TransferTable) -> Self {
+    pub(super) fn new(table: &TransferTable) -> Self {
         let at = |e: &[f32; 4]| {
             let [r, g, b, depth] = e.map(f64::from);
             [depth, depth * r, depth * g, depth * b, r, g, b]
@@ -149,7 +149,7 @@ impl Preintegrated {
     }
 }
 
-fn segment(integrals: &Integrals, front: f64, back: f64, length: f64) -> [f32; 4] {
+pub(super) fn segment(integrals: &Integrals, front: f64, back: f64, length: f64) -> [f32; 4] {
     let parts = ((back - front).abs().ceil() as usize).clamp(1, PARTS);
     let whole = integrals.mean(front, back);
     let (mut color, mut weight, mut passed) = ([0.0; 3], 0.0, 1.0);

@@ -130,7 +130,7 @@ impl TransferTable {
     /// Colour and optical depth of a normalised value; a hole has none.
     #[inline(always)]
     pub fn lookup(&self, value: f32) -> [f32; 4] {
-        let x = (value * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
+        let x = self.position(value);
         let i = (x as usize).min(TABLE_ENTRIES - 2);
         let t = x - i as f32;
         let (a, b) = (&self.entries[i], &self.entries[i + 1]);
@@ -223,12 +223,17 @@ impl TransferTable {
         a + (b - a) * (x - i as f32)
     }
 
+    /// The position of a normalised value among the entries.
+    #[inline(always)]
+    pub(super) fn position(&self, value: f32) -> f32 {
+        (value * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32
+    }
+
     /// The first and last entry that normalised values in `[low, high]` interpolate.
     fn entries_over(&self, low: f32, high: f32) -> (usize, usize) {
-        let entry = |v: f32| (v * self.scale + self.offset).clamp(0.0, 1.0) * (TABLE_ENTRIES - 1) as f32;
         let (a, b) = (
-            entry(low.min(high)).floor() as usize,
-            entry(high.max(low)).ceil() as usize,
+            self.position(low.min(high)).floor() as usize,
+            self.position(high.max(low)).ceil() as usize,
         );
         (a.min(b), b.min(TABLE_ENTRIES - 1))
     }

@@ -6,6 +6,7 @@
 //! image has it. Colours are interpolated weighted by this value, so that absent voxels contribute
 //! no colour.
 
+use super::smooth_labels::label_margins;
 use super::{StoredValues, Voxels};
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
@@ -44,6 +45,10 @@ pub enum Colors {
         labels: Voxels,
         /// Red, green, blue, and 0 for absent labels.
         table: Arc<Vec<[u8; 4]>>,
+        /// The margin of each voxel's label over others ([`super::smooth_labels`]). With it a
+        /// sample has the colour of one label, the one with the largest sum of margins; without,
+        /// the colours of the voxels around it are mixed.
+        margins: Option<Arc<Vec<u8>>>,
     },
 }
 
@@ -57,7 +62,15 @@ impl Colors {
     pub fn size_in_bytes(&self) -> usize {
         match self {
             Self::Rgb(values) | Self::Rgba(values) => values.len(),
-            Self::Labels { labels, table } => labels.len() * labels.bytes_per_voxel() + table.len() * 4,
+            Self::Labels {
+                labels,
+                table,
+                margins,
+            } => {
+                labels.len() * labels.bytes_per_voxel()
+                    + table.len() * 4
+                    + margins.as_ref().map_or(0, |m| m.len())
+            }
         }
     }
 
@@ -78,7 +91,23 @@ impl Colors {
         Self::Labels {
             labels,
             table: Arc::new(table),
+            margins: None,
         }
+    }
+
+    /// With smooth boundaries between labels; other colours are unchanged.
+    #[must_use]
+    pub fn with_smooth_boundaries(mut self) -> Self {
+        if let Self::Labels { labels, margins, .. } = &mut self {
+            *margins = Some(Arc::new(label_margins(labels)));
+        }
+        self
+    }
+
+    /// Whether a sample has the colour of the voxels with the largest sum of weighted margins,
+    /// which are then the fourth component of [`Self::rgba8`]; otherwise colours are mixed.
+    pub fn has_margins(&self) -> bool {
+        matches!(self, Self::Labels { margins: Some(_), .. })
     }
 
     /// The colour of a label; none without a table, or if the table does not contain it.
@@ -90,7 +119,7 @@ impl Colors {
         (a > 0).then_some([r, g, b])
     }
 
-    /// Premultiplied colour of a voxel by its flat index, 0..1.
+    /// Colour of a voxel by its flat index, 0..1, as in [`Self::rgba8`].
     #[inline(always)]
     fn texel(&self, index: usize) -> Vec4 {
         let bytes = self.bytes(index);
@@ -102,24 +131,36 @@ impl Colors {
         match self {
             Self::Rgb(v) => [v[3 * index], v[3 * index + 1], v[3 * index + 2], 255],
             Self::Rgba(v) => [v[4 * index], v[4 * index + 1], v[4 * index + 2], v[4 * index + 3]],
-            Self::Labels { labels, table } => {
+            Self::Labels {
+                labels,
+                table,
+                margins,
+            } => {
                 let label = labels.get(index);
-                if label >= 1.0 {
-                    color_in(table, label as usize)
-                } else {
-                    [0; 4]
+                if label < 1.0 {
+                    return [0; 4];
                 }
+                let [r, g, b, a] = color_in(table, label as usize);
+                [r, g, b, margins.as_ref().map_or(a, |m| m[index].min(a))]
             }
         }
     }
 
-    /// Premultiplied RGBA bytes of a run of voxels.
+    /// RGBA bytes of a run of voxels: colours multiplied by the fourth component or, of labels with
+    /// smooth boundaries, colours as they are and the margin.
     pub fn rgba8(&self, range: Range<usize>) -> Vec<[u8; 4]> {
         range.into_par_iter().map(|n| self.bytes(n)).collect()
     }
 
     /// As [`Self::rgba8`], for averaged blocks of voxels: the blocks of `range`.
     pub fn reduced(&self, size: [usize; 3], factors: [usize; 3], range: Range<usize>) -> Vec<[u8; 4]> {
+        let elected = |index: usize| {
+            let voxels: Vec<[u8; 4]> = block(size, factors, index).map(|at| self.bytes(at)).collect();
+            let all = voxels.iter().map(|c| (*c, f32::from(c[3])));
+            let (color, votes) = elect(all);
+            let [r, g, b] = color;
+            [r, g, b, (votes / voxels.len() as f32 + 0.5) as u8]
+        };
         let mean = |index: usize| {
             let (sum, count) = block(size, factors, index).fold(([0u32; 4], 0u32), |(sum, n), at| {
                 let c = self.bytes(at);
@@ -127,10 +168,15 @@ impl Colors {
             });
             sum.map(|s| ((s + count / 2) / count.max(1)) as u8)
         };
+        if self.has_margins() {
+            return range.into_par_iter().map(elected).collect();
+        }
         range.into_par_iter().map(mean).collect()
     }
 
-    /// The colour at a position in voxels, trilinear, clamped to the outermost voxel centres.
+    /// The colour at a position in voxels, clamped to the outermost voxel centres: trilinear, or
+    /// that of the label with the largest interpolated margin. Counterpart: `own_color` in
+    /// `shaders/lib/shading.wgsl`.
     pub fn sample(&self, size: [usize; 3], point_in_voxel: Vec3) -> Vec3 {
         let [nx, ny, nz] = size;
         let p = point_in_voxel.clamp(
@@ -139,19 +185,68 @@ impl Colors {
         );
         let (i, j, k) = (p.x as usize, p.y as usize, p.z as usize);
         let f = p - Vec3::new(i as f32, j as f32, k as f32);
-        let mut sum = Vec4::ZERO;
-        for corner in 0..8usize {
+        let corner = |corner: usize| {
             let (a, b, c) = (corner & 1, corner >> 1 & 1, corner >> 2);
             let weight = if a == 1 { f.x } else { 1.0 - f.x }
                 * if b == 1 { f.y } else { 1.0 - f.y }
                 * if c == 1 { f.z } else { 1.0 - f.z };
-            if weight > 0.0 {
-                let index = ((k + c).min(nz - 1) * ny + (j + b).min(ny - 1)) * nx + (i + a).min(nx - 1);
-                sum += self.texel(index) * weight;
-            }
+            let index = ((k + c).min(nz - 1) * ny + (j + b).min(ny - 1)) * nx + (i + a).min(nx - 1);
+            (index, weight)
+        };
+        if self.has_margins() {
+            let votes: [_; 8] = std::array::from_fn(|n| {
+                let (index, weight) = corner(n);
+                let bytes = self.bytes(index);
+                (bytes, f32::from(bytes[3]) / 255.0 * weight)
+            });
+            let (elected, votes) = elect(votes.iter().copied());
+            let color = if votes > 0.0 {
+                elected
+            } else {
+                self.nearest_label(size, p)
+            };
+            return Vec3::from(color.map(f32::from)) / 255.0;
+        }
+        let mut sum = Vec4::ZERO;
+        for (index, weight) in (0..8).map(corner).filter(|(_, weight)| *weight > 0.0) {
+            sum += self.texel(index) * weight;
         }
         straight(sum)
     }
+
+    /// The colour of the labelled voxel nearest to a position, the first of several, among the 64
+    /// around it: a sample found just outside a surface may have no labelled voxel beside it.
+    fn nearest_label(&self, size: [usize; 3], p: Vec3) -> [u8; 3] {
+        let base = p.floor();
+        let mut nearest = ([0; 3], f32::INFINITY);
+        for n in 0..64i32 {
+            let voxel = base.as_ivec3() + glam::IVec3::new(n & 3, n >> 2 & 3, n >> 4) - 1;
+            let [i, j, k] = std::array::from_fn(|a| voxel[a].clamp(0, size[a] as i32 - 1) as usize);
+            let [r, g, b, margin] = self.bytes((k * size[1] + j) * size[0] + i);
+            let distance = (voxel.as_vec3() - p).length_squared();
+            if margin > 0 && distance < nearest.1 {
+                nearest = ([r, g, b], distance);
+            }
+        }
+        nearest.0
+    }
+}
+
+/// The colour with the largest sum of votes, the first of several, and that sum.
+fn elect(votes: impl Iterator<Item = ([u8; 4], f32)> + Clone) -> ([u8; 3], f32) {
+    let same = |a: [u8; 4], b: [u8; 4]| a[..3] == b[..3];
+    let mut elected = ([0; 3], 0.0);
+    for (color, _) in votes.clone().filter(|(_, vote)| *vote > 0.0) {
+        let sum: f32 = votes
+            .clone()
+            .filter(|(c, _)| same(*c, color))
+            .map(|(_, v)| v)
+            .sum();
+        if sum > elected.1 {
+            elected = ([color[0], color[1], color[2]], sum);
+        }
+    }
+    elected
 }
 
 /// Flat indices of the voxels in a block of a grid.

@@ -6,7 +6,9 @@
 //! of a voxel, in which values between theirs and 0 remain.
 
 use super::function::VolumeFunction;
+use super::smooth_labels::{HALF_PRESENT, presence};
 use super::{Colors, Rescale, Volume, Voxels};
+use crate::math::arrays::shaped;
 use crate::math::cells::Strides;
 use crate::math::lanes::{LANES, Simd, f32x8};
 use glam::Vec3;
@@ -145,19 +147,25 @@ impl VoxelGrid {
 
     /// The grid of a label map: 1 where there is a label and 0 where there is none, in the labels'
     /// colours. A sample between two labels is then as present as either, rather than a third label
-    /// numbered in between. None if the volume is not a label map.
-    pub fn of_labels(volume: &Volume) -> Option<Self> {
+    /// numbered in between. `smooth`: in between near the surface, at 1/2 on it, and each sample in
+    /// the colour of one label. None if the volume is not a label map.
+    pub fn of_labels(volume: &Volume, smooth: bool) -> Option<Self> {
         volume.labels()?;
         let colors = Colors::of_labels(
             volume.voxels.clone(),
             volume.range[1] as usize,
             &volume.label_table,
         );
-        let occupied = volume.voxels.map(|label| u8::from(label >= 1.0));
+        let (voxels, scale, colors) = if smooth {
+            let presence = shaped(volume.size, presence(&volume.voxels));
+            (presence, 0.5 / HALF_PRESENT, colors.with_smooth_boundaries())
+        } else {
+            (volume.voxels.map(|label| u8::from(label >= 1.0)), 1.0, colors)
+        };
         Some(Self {
-            voxels: VoxelGridValues::U8(occupied.into_shared()),
+            voxels: VoxelGridValues::U8(voxels.into_shared()),
             size: volume.size,
-            scale: 1.0,
+            scale,
             offset: 0.0,
             has_holes: false,
             colors: Some(colors),

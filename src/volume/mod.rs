@@ -19,6 +19,7 @@ pub mod pages;
 pub mod phantom;
 mod sampler;
 pub mod save;
+mod smooth_labels;
 mod voxels;
 
 pub use colors::{Colors, Label, straight};
@@ -26,6 +27,7 @@ pub use foreground::Foreground;
 pub use gradient::{GradientFilter, GradientVolume};
 pub use grid::{HOLE, Voxel, VoxelGrid, VoxelGridValues};
 pub use sampler::VolumeSampler;
+pub use smooth_labels::smooth_mask;
 pub use voxels::{StoredValues, TypedArray, Voxels};
 
 use crate::{Error, Result};

@@ -45,6 +45,8 @@ macro_rules! with_values {
     };
 }
 
+pub(super) use with_values;
+
 /// As `with_values`, with a result array of the same type.
 macro_rules! of_same_type {
     ($values:expr, $v:ident => $body:expr) => {

@@ -123,7 +123,7 @@ fn scenes_with_empty_space() -> Vec<(String, Scene)> {
         small("tomato-peel-then-wave", &|s| {
             s.transfer.preset = Some("ct-mip".into())
         }),
-        small("teddy-seam", &|s| s.render.preintegrated = true),
+        small("teddy-seam", &|s| s.render.preintegrated = Some(true)),
         small("brain-labels", &|_| ()),
         ("six maps".to_owned(), many),
         ("composed".to_owned(), composed),
