@@ -74,7 +74,7 @@ pub fn every_version_is_read() {
     // Nothing else differs.
     let mut same = second.clone();
     (same.render.antialias, same.transfer.relative_to) = (Antialias::OFF, RelativeTo::Range);
-    same.render.filter = VolumeFilter::Linear;
+    (same.render.filter, same.render.preintegrated) = (VolumeFilter::Linear, Some(false));
     assert_eq!(same, first);
     // What a scene states is left as it is.
     let text = "incise = 1\n[volume]\npath = \"phantom:ball\"\n[render]\nantialias = 3\n[transfer]\npreset = \"checker\"\n";

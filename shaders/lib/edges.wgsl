@@ -4,6 +4,7 @@ const EDGE_RATIO: f32 = 0.65;
 const EDGE_STEPS: i32 = 4;
 const THIN_LAYER_SAMPLES: i32 = 8;
 const OPAQUE_DEPTH: f32 = 9.0;
+const LN_2: f32 = 0.6931472;
 
 // What is known of a neighbour: it lies where nothing is visible; it has been sampled; it has not.
 const EMPTY: u32 = 0u;
@@ -69,6 +70,28 @@ fn shows(present: bool, value: f32, depth: f32) -> bool {
         return present && value >= frame.iso;
     }
     return depth > 0.0;
+}
+
+// A point moved along its ray by `reach`, mm, at most to the sample behind it.
+fn moved_towards(entry: VisibleSample, s: VisibleSample, reach: f32, direction: vec3<f32>) -> VisibleSample {
+    var moved = entry;
+    let part = min(reach / max(dot(s.deformed - entry.deformed, direction), 1e-6), 1.0);
+    moved.deformed += (s.deformed - entry.deformed) * part;
+    moved.in_voxel += (s.in_voxel - entry.in_voxel) * part;
+    moved.value += (s.value - entry.value) * part;
+    moved.color = lookup(moved.value).rgb;
+    moved.has_gradient = false;
+    return moved;
+}
+
+// The mean depth, as a share of its length, at which a uniform stretch of an optical depth (powers
+// of e) is seen: 1/2 if it is thin, near 0 if it is opaque.
+fn mean_depth_seen(optical_depth: f32) -> f32 {
+    if optical_depth < 0.1 {
+        return 0.5 - optical_depth / 12.0;
+    }
+    let passed = exp2(min(optical_depth, 60.0) / LN_2) - 1.0;
+    return (passed - optical_depth) / (optical_depth * passed);
 }
 
 // Whether the step between two samples is bisected.
@@ -181,7 +204,12 @@ fn extent(found: FoundSample, direction: vec3<f32>, step: f32) -> SampleExtent {
         let at = sample_scene(q);
         x = taken(x, at, q, direction, found.present, step);
     }
-    x.e.share = (x.before + x.layer + x.behind) / step;
+    let length = x.before + x.layer + x.behind;
+    x.e.share = length / step;
+    if x.e.entered && !x.e.through_cut {
+        let optical_depth = x.e.at.s.depth * length * LN_2 / frame.reference_mm;
+        x.e.entry = moved_towards(x.e.entry, x.e.at.s, length * mean_depth_seen(optical_depth), direction);
+    }
     return x.e;
 }
 

@@ -8,8 +8,9 @@
 //! the trapezoidal rule, refined by the samples of the bisection where the density changes fast,
 //! wherever the samples fall. Without this, edges show the sampling as rings, combs and stairs.
 //!
-//! A sample in front of which the density falls below half of its own is shaded where the ray enters the
-//! material, not wherever the sample lies within the step.
+//! A sample in front of which the density falls below half of its own is shaded where the ray enters
+//! the material, not wherever the sample lies within the step: at the face of a cut, or behind the
+//! material's own surface by the mean depth at which it is seen.
 //!
 //! Two thin samples may have a dense layer between them that is thinner than a step: the end of
 //! material that is cut obliquely, or that ends at the volume's face. Where a cut or a face passes
@@ -23,6 +24,7 @@
 
 use super::packet::{PacketSampler, SamplePacket};
 use crate::math::lanes::*;
+use std::f32::consts::{LN_2, LOG2_E};
 
 /// Ratio of the densities of two samples below which the step between them is bisected.
 pub(super) const EDGE_RATIO: f32 = 0.65;
@@ -171,6 +173,38 @@ impl<S: Simd> SurfaceEntries<S> {
             inside: (lanes & yes.inside) | (no.inside & !lanes),
         }
     }
+}
+
+impl<S: Simd> SurfaceEntries<S> {
+    /// Some of the points moved along their rays by `reach`, mm, at most to the samples behind them.
+    #[inline(always)]
+    fn moved_towards(
+        &self,
+        sample: &Self,
+        reach: f32x8<S>,
+        direction: Vec3x8<S>,
+        lanes: mask32x8<S>,
+    ) -> Self {
+        let way = (sample.deformed - self.deformed).dot(direction);
+        let part = (reach / way.max(1e-6)).min(1.0);
+        let moved = Self {
+            deformed: self.deformed + (sample.deformed - self.deformed) * part,
+            in_voxel: self.in_voxel + (sample.in_voxel - self.in_voxel) * part,
+            value: self.value + (sample.value - self.value) * part,
+            inside: self.inside & sample.inside,
+        };
+        Self::select(lanes, &moved, self)
+    }
+}
+
+/// The mean depth, as a share of its length, at which a uniform stretch of an optical depth (powers
+/// of e) is seen: 1/2 if it is thin, near 0 if it is opaque.
+#[inline(always)]
+fn mean_depth_seen<S: Simd>(optical_depth: f32x8<S>) -> f32x8<S> {
+    let thin = optical_depth * (-1.0 / 12.0) + 0.5;
+    let passed = exp2(optical_depth.min(60.0) * LOG2_E) - 1.0;
+    let thick = (passed - optical_depth) / (optical_depth * passed);
+    optical_depth.simd_lt(0.1).select(thin, thick)
 }
 
 /// What eight samples represent, and where they are shaded.
@@ -497,7 +531,14 @@ impl PacketSampler<'_> {
             let back = self.crossing(simd, &bracket);
             behind = crossed.select(bracket.of_sample(&back), behind);
         }
-        extents.share = (before + found.layer + behind) / rays.step;
+        let length = before + found.layer + behind;
+        extents.share = length / rays.step;
+        let surface = extents.entered & !extents.through_cut;
+        if surface.any_true() {
+            let optical_depth = depth * length * (LN_2 / self.scene.frame.spacing.reference_mm);
+            let reach = length * mean_depth_seen(optical_depth);
+            extents.entry = extents.entry.moved_towards(&own, reach, rays.direction, surface);
+        }
         extents
     }
 

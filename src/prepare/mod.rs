@@ -47,6 +47,7 @@ pub use volume::VolumeObject;
 
 use crate::Watch;
 use crate::deform::PlacedMap;
+use crate::scene::{RenderSettings, Scene, VolumeFilter};
 
 /// Options for preparing a scene; by default everything on the CPU, without additional maps or
 /// cancellation.
@@ -89,6 +90,15 @@ impl<'a> PrepareOptions<'a> {
             more_maps,
             ..Self::default()
         }
+    }
+
+    /// The scene's settings for the picture.
+    fn settings(&self, scene: &Scene) -> RenderSettings {
+        let mut settings = scene.render.clone();
+        if self.linear {
+            settings.filter = VolumeFilter::Linear;
+        }
+        settings
     }
 
     /// The same, interpolated linearly or as the scene says.

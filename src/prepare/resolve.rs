@@ -12,7 +12,7 @@ use super::volume::{Classifier, VolumeObject};
 use crate::deform::kinds;
 use crate::math::normalize_or;
 use crate::picture::StageTimes;
-use crate::scene::{Deformation, Light, Scene, ViewFrame, VolumeFilter};
+use crate::scene::{Deformation, Light, Scene, ViewFrame};
 use crate::{Result, Watch};
 use glam::Vec3;
 
@@ -68,10 +68,7 @@ impl<'a> Prepared<'a> {
         scene.check()?;
         let mut stages = StageTimes::default();
         let scene = &*stages.time("placement", || placed(scene, assets))?;
-        let mut settings = scene.render.clone();
-        if options.linear {
-            settings.filter = VolumeFilter::Linear;
-        }
+        let settings = options.settings(scene);
         let classifier = stages.time("transfer", || Classifier::new(scene, assets))?;
         let scene_box = assets.scene_box();
         let mut view = scene.camera.frame(&scene_box, settings.size)?;

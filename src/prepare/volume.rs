@@ -159,12 +159,15 @@ impl<'a> VolumeObject<'a> {
     }
 
     /// Whether the scene wants segments between samples: as it says or, unless it says so, where
-    /// the transfer function is too steep for the steps.
+    /// the transfer function is too steep for the steps. Between two labels lie no values.
     fn is_preintegrated(&self, scene: &Scene, volume: &Volume, spacing: &SampleSpacing) -> bool {
         if self.blend != Blend::Composite || self.iso.is_some() {
             return false;
         }
         scene.render.preintegrated.unwrap_or_else(|| {
+            if volume.labels().is_some() {
+                return false;
+            }
             let reference = f64::from(spacing.reference_mm);
             let length = scene.render.step;
             let steps = self
