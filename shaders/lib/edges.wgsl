@@ -72,18 +72,6 @@ fn shows(present: bool, value: f32, depth: f32) -> bool {
     return depth > 0.0;
 }
 
-// A point moved along its ray by `reach`, mm, at most to the sample behind it.
-fn moved_towards(entry: VisibleSample, s: VisibleSample, reach: f32, direction: vec3<f32>) -> VisibleSample {
-    var moved = entry;
-    let part = min(reach / max(dot(s.deformed - entry.deformed, direction), 1e-6), 1.0);
-    moved.deformed += (s.deformed - entry.deformed) * part;
-    moved.in_voxel += (s.in_voxel - entry.in_voxel) * part;
-    moved.value += (s.value - entry.value) * part;
-    moved.color = lookup(moved.value).rgb;
-    moved.has_gradient = false;
-    return moved;
-}
-
 // The mean depth, as a share of its length, at which a uniform stretch of an optical depth (powers
 // of e) is seen: 1/2 if it is thin, near 0 if it is opaque.
 fn mean_depth_seen(optical_depth: f32) -> f32 {
@@ -153,7 +141,8 @@ const CUT: i32 = 3;
 const BEHIND_CUT: i32 = 4;
 const NEXT_SAMPLE: i32 = 5;
 const BACK: i32 = 6;
-const DONE: i32 = 7;
+const SEEN: i32 = 7;
+const DONE: i32 = 8;
 
 // A search for what a sample represents.
 struct ExtentSearch {
@@ -197,6 +186,9 @@ fn extent(found: FoundSample, direction: vec3<f32>, step: f32) -> SampleExtent {
     x.turn = select(select(FRONT, LAYER, found.thin), FRONT_SAMPLE, found.previous.state == UNKNOWN);
     loop {
         x = begun(x, step);
+        if x.turn == SEEN && !x.e.entered {
+            x.turn = DONE;
+        }
         if x.turn == DONE {
             break;
         }
@@ -204,12 +196,7 @@ fn extent(found: FoundSample, direction: vec3<f32>, step: f32) -> SampleExtent {
         let at = sample_scene(q);
         x = taken(x, at, q, direction, found.present, step);
     }
-    let length = x.before + x.layer + x.behind;
-    x.e.share = length / step;
-    if x.e.entered && !x.e.through_cut {
-        let optical_depth = x.e.at.s.depth * length * LN_2 / frame.reference_mm;
-        x.e.entry = moved_towards(x.e.entry, x.e.at.s, length * mean_depth_seen(optical_depth), direction);
-    }
+    x.e.share = (x.before + x.layer + x.behind) / step;
     return x.e;
 }
 
@@ -254,7 +241,7 @@ fn begun(search: ExtentSearch, step: f32) -> ExtentSearch {
         x.far_present = other.present;
         let ends = x.segment && other.state == SAMPLED && !other.present;
         if hidden || !(ends || (!x.segment && differs(depth, other.depth))) {
-            x.turn = DONE;
+            x.turn = SEEN;
         }
     }
     return x;
@@ -271,6 +258,12 @@ fn searched_point(x: ExtentSearch, deformed: vec3<f32>, direction: vec3<f32>, st
         case FRONT, BEHIND_CUT: { return x.e.at.s.deformed - direction * middle; }
         case CUT: { return x.e.entry.deformed + direction * (0.5 * frame.reference_mm); }
         case NEXT_SAMPLE: { return deformed + direction * step; }
+        case SEEN: {
+            // The mean depth at which the material that the ray enters is seen.
+            let length = x.before + x.layer + x.behind;
+            let optical_depth = x.e.at.s.depth * length * LN_2 / frame.reference_mm;
+            return x.e.entry.deformed + direction * (length * mean_depth_seen(optical_depth));
+        }
         default: { return x.e.at.s.deformed + direction * (x.layer + middle); }
     }
 }
@@ -306,6 +299,14 @@ fn taken(
     } else if x.turn == NEXT_SAMPLE {
         x.e.at.next = as_neighbour(at);
         x.turn = BACK;
+    } else if x.turn == SEEN {
+        // The light of a cut's face is that of the face itself.
+        let face = x.e.entry.deformed;
+        if at.present {
+            x.e.entry = there;
+            x.e.entry.deformed = select(q, face, x.e.through_cut);
+        }
+        x.turn = DONE;
     } else if x.n == EDGE_STEPS {
         // What lies in front of a ray that enters the material at the very start of its step.
         x.far_present = at.present;
@@ -332,7 +333,7 @@ fn taken(
     }
     if x.turn == BACK && x.n == EDGE_STEPS {
         x.behind = represented(x, x.e.at.next.depth);
-        x.turn = DONE;
+        x.turn = SEEN;
     }
     if x.turn == FRONT && x.n == EDGE_STEPS && (x.far_found || !x.e.entered) {
         x.e.through_cut = x.e.entered && !x.far_present;

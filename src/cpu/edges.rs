@@ -9,8 +9,8 @@
 //! wherever the samples fall. Without this, edges show the sampling as rings, combs and stairs.
 //!
 //! A sample in front of which the density falls below half of its own is shaded where the ray enters
-//! the material, not wherever the sample lies within the step: at the face of a cut, or behind the
-//! material's own surface by the mean depth at which it is seen.
+//! the material, not wherever the sample lies within the step, and as what lies there at the mean
+//! depth at which it is seen. The light of a cut's face is that of the face itself.
 //!
 //! Two thin samples may have a dense layer between them that is thinner than a step: the end of
 //! material that is cut obliquely, or that ends at the volume's face. Where a cut or a face passes
@@ -172,28 +172,6 @@ impl<S: Simd> SurfaceEntries<S> {
             value: lanes.select(yes.value, no.value),
             inside: (lanes & yes.inside) | (no.inside & !lanes),
         }
-    }
-}
-
-impl<S: Simd> SurfaceEntries<S> {
-    /// Some of the points moved along their rays by `reach`, mm, at most to the samples behind them.
-    #[inline(always)]
-    fn moved_towards(
-        &self,
-        sample: &Self,
-        reach: f32x8<S>,
-        direction: Vec3x8<S>,
-        lanes: mask32x8<S>,
-    ) -> Self {
-        let way = (sample.deformed - self.deformed).dot(direction);
-        let part = (reach / way.max(1e-6)).min(1.0);
-        let moved = Self {
-            deformed: self.deformed + (sample.deformed - self.deformed) * part,
-            in_voxel: self.in_voxel + (sample.in_voxel - self.in_voxel) * part,
-            value: self.value + (sample.value - self.value) * part,
-            inside: self.inside & sample.inside,
-        };
-        Self::select(lanes, &moved, self)
     }
 }
 
@@ -533,13 +511,35 @@ impl PacketSampler<'_> {
         }
         let length = before + found.layer + behind;
         extents.share = length / rays.step;
-        let surface = extents.entered & !extents.through_cut;
-        if surface.any_true() {
-            let optical_depth = depth * length * (LN_2 / self.scene.frame.spacing.reference_mm);
-            let reach = length * mean_depth_seen(optical_depth);
-            extents.entry = extents.entry.moved_towards(&own, reach, rays.direction, surface);
+        if extents.entered.any_true() {
+            self.move_to_mean_depth(simd, rays, found, length, &mut extents);
         }
         extents
+    }
+
+    /// Moves the points at which rays enter material to the mean depth at which it is seen. The light
+    /// of a cut's face is that of the face itself.
+    #[inline(always)]
+    fn move_to_mean_depth<S: Simd>(
+        &self,
+        simd: S,
+        rays: &ShadingRays<S>,
+        found: &FoundSamples<S>,
+        length: f32x8<S>,
+        extents: &mut SampleExtents<S>,
+    ) {
+        let per_mm = LN_2 / self.scene.frame.spacing.reference_mm;
+        let reach = length * mean_depth_seen(found.sample.depth * length * per_mm);
+        let point = extents.entry.deformed + rays.direction * reach;
+        let there = self.sample_points_apart(simd, &point, &extents.entered, &found.near_cut);
+        let seen = SurfaceEntries {
+            deformed: Vec3x8::select(extents.through_cut, extents.entry.deformed, point),
+            in_voxel: there.in_voxel,
+            value: there.value,
+            inside: extents.entry.inside & there.inside,
+        };
+        let lanes = extents.entered & there.present;
+        extents.entry = SurfaceEntries::select(lanes, &seen, &extents.entry);
     }
 
     /// Where the density changes in front of samples: the lengths in front of them, mm, and in
