@@ -45,7 +45,7 @@ pub enum Colors {
         labels: Voxels,
         /// Red, green, blue, and 0 for absent labels.
         table: Arc<Vec<[u8; 4]>>,
-        /// The margin of each voxel's label over others ([`super::smooth_labels`]). With it a
+        /// The margin of each voxel's label over others. With it a
         /// sample has the colour of one label, the one with the largest sum of margins; without,
         /// the colours of the voxels around it are mixed.
         margins: Option<Arc<Vec<u8>>>,
