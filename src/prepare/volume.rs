@@ -8,7 +8,7 @@ use super::sampled::SampledVolume;
 use super::spacing::{SampleSpacing, cut_margin_mm};
 use crate::math::{Bounds, to_f32};
 use crate::scene::{CutFaces, Mode, Scene, VolumeFilter};
-use crate::transfer::{Blend, OWN_COLORS, TransferFunction, TransferTable, single_value_error};
+use crate::transfer::{Blend, OWN_COLORS, TransferFunction, TransferTable};
 use crate::volume::{Colors, Volume, VoxelGrid};
 use crate::{Error, Result};
 use glam::{Affine3A, Vec3};
@@ -169,13 +169,11 @@ impl<'a> VolumeObject<'a> {
                 return false;
             }
             let reference = f64::from(spacing.reference_mm);
-            let length = scene.render.step;
-            let steps = self
+            let step = (reference / volume.spacing_mm()).as_vec3();
+            let error = self
                 .sampled
-                .value_steps((reference / volume.spacing_mm()).as_vec3())
-                .iter()
-                .map(|&[a, b]| [a, a + (b - a) * length]);
-            single_value_error(&self.table, steps, length) > MAX_SINGLE_VALUE_ERROR
+                .single_value_error(&self.table, step, scene.render.step);
+            error > MAX_SINGLE_VALUE_ERROR
         })
     }
 

@@ -6,7 +6,7 @@ use super::preintegrated::{Integrals, segment};
 use rayon::prelude::*;
 
 /// Number of visible steps of which the error is taken.
-const MAX_STEPS: usize = 4096;
+const MAX_STEPS: usize = 1024;
 /// Bisections of a step.
 const CROSSING_STEPS: usize = 5;
 
