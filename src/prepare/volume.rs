@@ -151,7 +151,7 @@ impl<'a> VolumeObject<'a> {
             has_no_values: volume.non_finite == volume.voxels.len(),
         };
         if scene.render.mode != Mode::Surface && assets.has_volume {
-            object.preintegrated = object.is_preintegrated(scene, volume, spacing);
+            object.preintegrated = object.is_preintegrated(scene, volume, spacing, options.linear);
             let bounds = deformed.stack.deformed_bounds(&volume.bounds_in_world());
             object.macrocells = object.empty_space(scene, deformed, bounds, spacing, options)?;
         }
@@ -159,13 +159,20 @@ impl<'a> VolumeObject<'a> {
     }
 
     /// Whether the scene wants segments between samples: as it says or, unless it says so, where
-    /// the transfer function is too steep for the steps. Between two labels lie no values.
-    fn is_preintegrated(&self, scene: &Scene, volume: &Volume, spacing: &SampleSpacing) -> bool {
+    /// the transfer function is too steep for the steps. Between two labels lie no values,
+    /// and drafts are to be fast.
+    fn is_preintegrated(
+        &self,
+        scene: &Scene,
+        volume: &Volume,
+        spacing: &SampleSpacing,
+        is_draft: bool,
+    ) -> bool {
         if self.blend != Blend::Composite || self.iso.is_some() {
             return false;
         }
         scene.render.preintegrated.unwrap_or_else(|| {
-            if volume.labels().is_some() {
+            if is_draft || volume.labels().is_some() {
                 return false;
             }
             let reference = f64::from(spacing.reference_mm);
