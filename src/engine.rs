@@ -116,7 +116,7 @@ impl<'a> RenderRequest<'a> {
     /// How the scene is prepared for it.
     fn options(&self, options: PrepareOptions<'a>) -> PrepareOptions<'a> {
         options
-            .interpolated_linearly(self.quality != Quality::Full)
+            .as_draft(self.quality != Quality::Full)
             .watched(&self.watch)
     }
 }

@@ -72,8 +72,8 @@ fn shows(present: bool, value: f32, depth: f32) -> bool {
     return depth > 0.0;
 }
 
-// The mean depth, as a share of its length, at which a uniform stretch of an optical depth (powers
-// of e) is seen: 1/2 if it is thin, near 0 if it is opaque.
+// The mean depth to which one sees into a uniform stretch of an optical depth (powers of e), as a
+// share of its length: 1/2 if it is thin, near 0 if it is opaque.
 fn mean_depth_seen(optical_depth: f32) -> f32 {
     if optical_depth < 0.1 {
         return 0.5 - optical_depth / 12.0;
@@ -259,7 +259,7 @@ fn searched_point(x: ExtentSearch, deformed: vec3<f32>, direction: vec3<f32>, st
         case CUT: { return x.e.entry.deformed + direction * (0.5 * frame.reference_mm); }
         case NEXT_SAMPLE: { return deformed + direction * step; }
         case SEEN: {
-            // The mean depth at which the material that the ray enters is seen.
+            // The mean depth to which one sees into the material that the ray enters.
             let length = x.before + x.layer + x.behind;
             let optical_depth = x.e.at.s.depth * length * LN_2 / frame.reference_mm;
             return x.e.entry.deformed + direction * (length * mean_depth_seen(optical_depth));
@@ -300,7 +300,7 @@ fn taken(
         x.e.at.next = as_neighbour(at);
         x.turn = BACK;
     } else if x.turn == SEEN {
-        // The light of a cut's face is that of the face itself.
+        // At a cut only the material is that of this depth; the light is that of the face.
         let face = x.e.entry.deformed;
         if at.present {
             x.e.entry = there;

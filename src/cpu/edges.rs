@@ -9,8 +9,9 @@
 //! wherever the samples fall. Without this, edges show the sampling as rings, combs and stairs.
 //!
 //! A sample in front of which the density falls below half of its own is shaded where the ray enters
-//! the material, not wherever the sample lies within the step, and as what lies there at the mean
-//! depth at which it is seen. The light of a cut's face is that of the face itself.
+//! the material, not wherever the sample lies within the step: at the mean depth to which one sees
+//! into what the sample represents. At a cut only the material is that of this depth; the light is
+//! that of the face.
 //!
 //! Two thin samples may have a dense layer between them that is thinner than a step: the end of
 //! material that is cut obliquely, or that ends at the volume's face. Where a cut or a face passes
@@ -175,8 +176,8 @@ impl<S: Simd> SurfaceEntries<S> {
     }
 }
 
-/// The mean depth, as a share of its length, at which a uniform stretch of an optical depth (powers
-/// of e) is seen: 1/2 if it is thin, near 0 if it is opaque.
+/// The mean depth to which one sees into a uniform stretch of an optical depth (powers of e), as a
+/// share of its length: 1/2 if it is thin, near 0 if it is opaque.
 #[inline(always)]
 fn mean_depth_seen<S: Simd>(optical_depth: f32x8<S>) -> f32x8<S> {
     let thin = optical_depth * (-1.0 / 12.0) + 0.5;
@@ -517,8 +518,8 @@ impl PacketSampler<'_> {
         extents
     }
 
-    /// Moves the points at which rays enter material to the mean depth at which it is seen. The light
-    /// of a cut's face is that of the face itself.
+    /// Moves the points at which rays enter material to the mean depth to which one sees into it; at
+    /// a cut only the material, not the light.
     #[inline(always)]
     fn move_to_mean_depth<S: Simd>(
         &self,

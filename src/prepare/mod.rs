@@ -57,9 +57,9 @@ pub struct PrepareOptions<'a> {
     pub accelerator: &'a dyn Accelerator,
     /// Maps that do not come from a kind, applied after the scene's own.
     pub more_maps: &'a [PlacedMap],
-    /// Whether volumes are interpolated linearly, whatever the scene says: for drafts. The
-    /// boundaries of labels stay where the scene's filter has them.
-    pub linear: bool,
+    /// Whether the picture is a draft: volumes are interpolated linearly, whatever the scene says,
+    /// and pre-integrated only if it says so. Labels keep the boundaries of the scene's filter.
+    pub is_draft: bool,
     /// Receives the completed fraction, and can cancel.
     pub watch: Watch<'a>,
 }
@@ -69,7 +69,7 @@ impl Default for PrepareOptions<'_> {
         Self {
             accelerator: &CpuOnly,
             more_maps: &[],
-            linear: false,
+            is_draft: false,
             watch: Watch::NONE,
         }
     }
@@ -95,16 +95,16 @@ impl<'a> PrepareOptions<'a> {
     /// The scene's settings for the picture.
     fn settings(&self, scene: &Scene) -> RenderSettings {
         let mut settings = scene.render.clone();
-        if self.linear {
+        if self.is_draft {
             settings.filter = VolumeFilter::Linear;
         }
         settings
     }
 
-    /// The same, interpolated linearly or as the scene says.
+    /// The same, for a draft or a full picture.
     #[must_use]
-    pub fn interpolated_linearly(self, linear: bool) -> Self {
-        Self { linear, ..self }
+    pub fn as_draft(self, is_draft: bool) -> Self {
+        Self { is_draft, ..self }
     }
 
     /// The same, with progress and cancellation.

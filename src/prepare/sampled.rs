@@ -21,29 +21,26 @@ pub struct SampledVolume {
     pub bounds: MinMaxPyramid<1>,
     gradients: OnceLock<Option<GradientVolume>>,
     value_steps: OnceLock<Vec<[f32; 2]>>,
-    /// The most recently computed last.
-    step_errors: Mutex<Vec<StepError>>,
+    step_error: Mutex<Option<StepError>>,
     /// Number of pictures that could use the gradients.
     pictures: AtomicUsize,
     /// The most recently used last.
     macrocells: Mutex<Vec<(MacrocellKey, Arc<Macrocells>)>>,
 }
 
-/// Number of voxels whose neighbours tell how fast values change.
+/// Number of voxels at which it is measured how fast values change.
 const MAX_VALUE_STEPS: usize = 1 << 17;
 /// The fractional part of the golden section.
 const GOLDEN_SECTION: f64 = 0.618_033_988_749_895;
 
-/// The error of single values with a transfer function: its entries, their scale and offset, and the
-/// length of a step.
+/// The last error of single values, and what it is of.
 struct StepError {
     entries: Vec<[f32; 4]>,
+    /// Scale and offset of the table, and the length of a step.
     scale: [f32; 3],
     error: f32,
 }
 
-/// Number of cached errors: drafts have longer steps.
-const MAX_CACHED_ERRORS: usize = 4;
 /// Number of cached macrocell grids: a window shows one scene in several views.
 const MAX_CACHED_MACROCELLS: usize = 4;
 
@@ -56,7 +53,7 @@ impl SampledVolume {
             bounds,
             gradients: OnceLock::new(),
             value_steps: OnceLock::new(),
-            step_errors: Mutex::default(),
+            step_error: Mutex::default(),
             pictures: AtomicUsize::new(0),
             macrocells: Mutex::default(),
         }
@@ -129,23 +126,20 @@ impl SampledVolume {
         })
     }
 
-    /// [`single_value_error`] for steps of `length` reference lengths, or a cached one: it does not
-    /// depend on the camera. `step`: as for [`Self::value_steps`].
+    /// [`single_value_error`] for steps of `length` reference lengths. The last one is kept: it does
+    /// not depend on the camera. `step`: as for [`Self::value_steps`].
     pub fn single_value_error(&self, table: &TransferTable, step: Vec3, length: f32) -> f32 {
         let scale = [table.scale, table.offset, length];
-        let lock = || self.step_errors.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_of = |e: &&StepError| e.scale == scale && e.entries == table.entries;
-        let cached = lock().iter().find(is_of).map(|e| e.error);
-        if let Some(error) = cached {
-            return error;
+        let mut last = self.step_error.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(of) = last.as_ref()
+            && of.scale == scale
+            && of.entries == table.entries
+        {
+            return of.error;
         }
         let steps = self.value_steps(step).iter();
         let error = single_value_error(table, steps.map(|&[a, b]| [a, a + (b - a) * length]), length);
-        let mut errors = lock();
-        if errors.len() == MAX_CACHED_ERRORS {
-            errors.remove(0);
-        }
-        errors.push(StepError {
+        *last = Some(StepError {
             entries: table.entries.clone(),
             scale,
             error,

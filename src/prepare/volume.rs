@@ -14,8 +14,8 @@ use crate::{Error, Result};
 use glam::{Affine3A, Vec3};
 use std::sync::Arc;
 
-/// The mean error of single values above which segments are pre-integrated: below it, what differs
-/// is hardly seen, and edges found by bisection are the more exact.
+/// The mean error of single values above which the transfer function is pre-integrated. Below it
+/// the difference is hardly seen, and edges are more exact without.
 const MAX_SINGLE_VALUE_ERROR: f32 = 0.02;
 
 /// A volume shown by a scene, or the empty one of a scene without any.
@@ -151,16 +151,16 @@ impl<'a> VolumeObject<'a> {
             has_no_values: volume.non_finite == volume.voxels.len(),
         };
         if scene.render.mode != Mode::Surface && assets.has_volume {
-            object.preintegrated = object.is_preintegrated(scene, volume, spacing, options.linear);
+            object.preintegrated = object.is_preintegrated(scene, volume, spacing, options.is_draft);
             let bounds = deformed.stack.deformed_bounds(&volume.bounds_in_world());
             object.macrocells = object.empty_space(scene, deformed, bounds, spacing, options)?;
         }
         Ok(object)
     }
 
-    /// Whether the scene wants segments between samples: as it says or, unless it says so, where
-    /// the transfer function is too steep for the steps. Between two labels lie no values,
-    /// and drafts are to be fast.
+    /// Whether the transfer function is pre-integrated: as the scene says or, if it does not say,
+    /// where single values would be too wrong. The numbers of labels have nothing between them, and
+    /// drafts are to be fast.
     fn is_preintegrated(
         &self,
         scene: &Scene,

@@ -406,8 +406,8 @@ pub struct RenderSettings {
     /// How the iso-surface is shaded.
     pub iso_light: IsoLight,
     /// Pre-integrated transfer function: colour and opacity come from the values at both ends of
-    /// each step instead of one, so that thin features of the curve stay closed at longer steps. By
-    /// default where the curve is steep for the step and the volume.
+    /// each step instead of one, so that thin features of the curve stay closed at longer steps.
+    /// Unset: where the curve changes much within a step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preintegrated: Option<bool>,
     /// Jitter each pixel's samples along its ray by a fixed pseudo-random part of a step: banding

@@ -93,8 +93,7 @@ mod tests {
         assert_eq!(error(&nothing, 0.1), 0.0);
     }
 
-    /// A band that a step may pass without a sample: steps that see none of it are wrong by its
-    /// whole opacity, here half of those that contain it.
+    /// Of a band narrower than a step, single values see nothing or too much.
     #[test]
     fn a_band_narrower_than_a_step_has_its_opacity_as_error() {
         let band = table(&[

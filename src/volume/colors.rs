@@ -45,9 +45,9 @@ pub enum Colors {
         labels: Voxels,
         /// Red, green, blue, and 0 for absent labels.
         table: Arc<Vec<[u8; 4]>>,
-        /// The margin of each voxel's label over others. With it a
-        /// sample has the colour of one label, the one with the largest sum of margins; without,
-        /// the colours of the voxels around it are mixed.
+        /// The margin of each voxel's label over others. With it a sample has the colour of one
+        /// label, the one with the largest sum of margins; without, the colours of the voxels
+        /// around it are mixed.
         margins: Option<Arc<Vec<u8>>>,
     },
 }
@@ -175,7 +175,7 @@ impl Colors {
     }
 
     /// The colour at a position in voxels, clamped to the outermost voxel centres: trilinear, or
-    /// that of the label with the largest interpolated margin. Counterpart: `own_color` in
+    /// that of the label with the largest interpolated margin. Counterpart: `elected_color` in
     /// `shaders/lib/shading.wgsl`.
     pub fn sample(&self, size: [usize; 3], point_in_voxel: Vec3) -> Vec3 {
         let [nx, ny, nz] = size;

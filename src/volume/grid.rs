@@ -147,8 +147,8 @@ impl VoxelGrid {
 
     /// The grid of a label map: 1 where there is a label and 0 where there is none, in the labels'
     /// colours. A sample between two labels is then as present as either, rather than a third label
-    /// numbered in between. `smooth`: in between near the surface, at 1/2 on it, and each sample in
-    /// the colour of one label. None if the volume is not a label map.
+    /// numbered in between. `smooth`: the value changes gradually near the surface, where it is
+    /// 1/2, and each sample has the colour of one label. None if the volume is not a label map.
     pub fn of_labels(volume: &Volume, smooth: bool) -> Option<Self> {
         volume.labels()?;
         let colors = Colors::of_labels(

@@ -18,7 +18,8 @@ use super::{TypedArray, Voxels};
 use crate::math::flat;
 use rayon::prelude::*;
 
-/// Number of rounds, and passes of the filter S. A plane along three axes is flat to 0.1 voxels.
+/// Number of rounds, and of passes of the filter S: a slanted plane keeps steps of 0.1 voxels at most
+/// (root mean square).
 const ROUNDS: usize = 4;
 const PASSES: usize = 2;
 /// The margin of a voxel that is surrounded by its own label.
