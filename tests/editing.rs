@@ -20,6 +20,8 @@ fn scene(mode: Mode) -> Scene {
     scene.render.mode = mode;
     // Linear interpolation stores gradients.
     scene.render.filter = VolumeFilter::Linear;
+    // Another shader, which an edit of the colours would select.
+    scene.render.preintegrated = Some(false);
     for kind in ["twist", "peel"] {
         let mut deformation = Deformation::new(kind);
         (deformation.resolution, deformation.center) = (Some(16), Some([0.0, 0.0, 20.0]));
@@ -137,6 +139,18 @@ pub fn edits_upload_what_changed() {
             allowed.cell_uploads = work.cell_uploads.min(allowed.cell_uploads);
             assert_eq!(work, allowed, "{mode:?}, {name}");
         }
+        // The pre-integrated shader is compiled once, and afterwards an edit of the colours selects it.
+        for (value, pipelines) in [(true, 1), (false, 0), (true, 0)] {
+            scene.render.preintegrated = Some(value);
+            let work = work_of(&mut renderer, &scene, &assets);
+            assert_eq!(work.pipelines_compiled, pipelines, "{mode:?}, {value}: {work:?}");
+            assert!(
+                work.table_uploads <= 1 && (work.volume_uploads, work.map_uploads) == (0, 0),
+                "{mode:?}, {value}: {work:?}"
+            );
+        }
+        scene.render.preintegrated = Some(false);
+        work_of(&mut renderer, &scene, &assets);
         // Another volume of the same kind: its texture, and data that depends on its content.
         scene.volume = Scene::of_volume("phantom:head-ct:size=40").volume;
         let other = scenes::assets(&scene);

@@ -347,6 +347,7 @@ fn rendered(
     if facts.is_draft {
         scene.render.antialias = Antialias::OFF;
         scene.render.filter = VolumeFilter::Linear;
+        scene.render.preintegrated = scene.render.preintegrated.or(Some(false));
         if scene.render.mode == Mode::Slice {
             scene.render.slab = scene.render.slab.max(DRAFT_SLAB);
             scene.render.slice_order = SliceOrder::FrontToBack;
