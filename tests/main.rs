@@ -72,6 +72,8 @@ fn alone() -> impl Iterator<Item = Trial> {
             let program = std::env::current_exe()?;
             let status = std::process::Command::new(program)
                 .env(ALONE_VARIABLE, name)
+                // Blocks above this size go back to the system when they are freed (glibc).
+                .env("MALLOC_MMAP_THRESHOLD_", "131072")
                 .status()?;
             if status.success() {
                 Ok(())

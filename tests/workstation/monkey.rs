@@ -3,7 +3,7 @@
 use super::bench::Bench;
 use eframe::egui::{self, Key, Modifiers, PointerButton, Rect, pos2, vec2};
 use incise::gui::state::action::{Action, ActionEntry};
-use incise::gui::state::files::Dialog;
+use incise::gui::state::files::{Dialog, NextStep};
 use proptest::prelude::Rng as _;
 use proptest::test_runner::{RngAlgorithm, TestRng};
 use std::path::Path;
@@ -138,6 +138,14 @@ impl Monkey {
         }
     }
 
+    /// Closes the scene, whose caches may hold several hundred MiB, and returns what remains.
+    fn resident_without_scene(&mut self) -> f64 {
+        let ctx = self.bench.ctx();
+        self.bench.app().proceed(&ctx, NextStep::Close);
+        self.bench.settle();
+        resident_mib()
+    }
+
     /// Limits the number of deformations, surfaces and measures, since memory grows with them.
     fn limit_scene(&mut self) {
         if let Some(doc) = self.bench.app().doc.as_mut() {
@@ -179,7 +187,12 @@ pub fn a_monkey_does_no_harm() {
     let mut resident = Vec::new();
     for n in 0..count {
         if n % (count / 8).max(1) == 0 {
-            resident.push(resident_mib());
+            resident.push(monkey.resident_without_scene());
+            monkey
+                .bench
+                .app()
+                .open(&ctx, Path::new("phantom:head-ct:size=24"));
+            monkey.bench.until("not opened again", |app| app.doc.is_some());
         }
         let what = below(&mut monkey.random, 100);
         if what < 62 {
@@ -210,9 +223,9 @@ pub fn a_monkey_does_no_harm() {
             bench.app().dialog = None;
         }
     }
-    resident.push(resident_mib());
+    resident.push(monkey.resident_without_scene());
     let most = |part: &[f64]| part.iter().copied().fold(0.0, f64::max);
-    // Caches fill in the first half.
+    // Fonts, icons and the lists of the program's own panels fill in the first half.
     let (warm, end) = (most(&resident[..resident.len() / 2 + 1]), most(&resident));
     println!(
         "{count} actions in {:.0} s; resident MiB at each eighth: {resident:.0?}",
