@@ -73,6 +73,7 @@ impl Workstation {
     /// Discards pictures and results of the previous scene.
     fn forget_pictures(&mut self) {
         self.view.clear();
+        self.prober.forget();
         self.slices.forget();
         self.compare.forget();
         self.thumbnails.forget();

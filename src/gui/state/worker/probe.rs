@@ -56,7 +56,8 @@ pub struct ProbeResult {
 
 /// The thread that picks the point under the pointer.
 pub struct Prober {
-    ask: Option<Sender<ProbeRequest>>,
+    /// Requests; none lets go of the scene of the last one.
+    ask: Option<Sender<Option<ProbeRequest>>>,
     answers: Receiver<ProbeResult>,
     thread: Option<std::thread::JoinHandle<()>>,
     /// Number of pending requests.
@@ -66,7 +67,7 @@ pub struct Prober {
 impl Prober {
     /// Starts the thread.
     pub fn new(ctx: &egui::Context) -> Self {
-        let (ask, questions) = channel::<ProbeRequest>();
+        let (ask, questions) = channel::<Option<ProbeRequest>>();
         let (answer, answers) = channel();
         let ctx = ctx.clone();
         let thread = std::thread::Builder::new()
@@ -83,8 +84,16 @@ impl Prober {
 
     /// Submits a request.
     pub fn ask(&mut self, question: ProbeRequest) {
-        if self.ask.as_ref().is_some_and(|a| a.send(question).is_ok()) {
+        if self.ask.as_ref().is_some_and(|a| a.send(Some(question)).is_ok()) {
             self.open += 1;
+        }
+    }
+
+    /// Lets go of the scene that was last picked in, which is kept prepared for the next request.
+    pub fn forget(&self) {
+        if let Some(ask) = &self.ask {
+            // If the thread has ended, it holds nothing.
+            let _sent = ask.send(None);
         }
     }
 
@@ -111,10 +120,11 @@ fn visible(scene: &Scene, assets: &Assets) -> Option<VisibleObject> {
     found.ok()?.ok()?
 }
 
-fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: &egui::Context) {
+fn probe(questions: &Receiver<Option<ProbeRequest>>, answer: &Sender<ProbeResult>, ctx: &egui::Context) {
     let pool = quiet_pool();
     let mut next: Option<ProbeRequest> = None;
-    while let Some(question) = next.take().or_else(|| questions.recv().ok()) {
+    while let Some(received) = next.take().map(Some).or_else(|| questions.recv().ok()) {
+        let Some(question) = received else { continue };
         let (scene, assets) = (question.scene.clone(), question.assets.clone());
         let prepare = || Prepared::new(&scene, &assets);
         let fault = || {
@@ -163,13 +173,13 @@ fn probe(questions: &Receiver<ProbeRequest>, answer: &Sender<ProbeResult>, ctx: 
                 return;
             }
             match questions.recv() {
-                Ok(q)
+                Ok(Some(q))
                     if Arc::ptr_eq(&q.assets, &assets)
                         && (Arc::ptr_eq(&q.scene, &scene) || q.scene == scene) =>
                 {
                     current = Some(q)
                 }
-                Ok(q) => next = Some(q),
+                Ok(q) => next = q,
                 Err(_) => return,
             }
         }
