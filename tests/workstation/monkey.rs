@@ -4,9 +4,11 @@ use super::bench::Bench;
 use eframe::egui::{self, Key, Modifiers, PointerButton, Rect, pos2, vec2};
 use incise::gui::state::action::{Action, ActionEntry};
 use incise::gui::state::files::{Dialog, NextStep};
+use incise::prepare::Assets;
 use proptest::prelude::Rng as _;
 use proptest::test_runner::{RngAlgorithm, TestRng};
 use std::path::Path;
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 fn resident_mib() -> f64 {
@@ -32,6 +34,8 @@ struct Monkey {
     view: Rect,
     /// Descriptions of the last actions.
     recent: Vec<String>,
+    /// Assets of the scenes that were open since memory was last measured.
+    assets: Vec<Weak<Assets>>,
 }
 
 impl Monkey {
@@ -138,11 +142,24 @@ impl Monkey {
         }
     }
 
+    /// Remembers the scene's assets, to see whether they are let go.
+    fn note_assets(&mut self) {
+        let Some(doc) = &self.bench.app().doc else { return };
+        let assets = Arc::downgrade(&doc.assets);
+        if !self.assets.last().is_some_and(|last| last.ptr_eq(&assets)) {
+            self.assets.push(assets);
+        }
+    }
+
     /// Closes the scene, whose caches may hold several hundred MiB, and returns what remains.
     fn resident_without_scene(&mut self) -> f64 {
         let ctx = self.bench.ctx();
         self.bench.app().proceed(&ctx, NextStep::Close);
         self.bench.settle();
+        let assets = std::mem::take(&mut self.assets);
+        self.bench.until("a closed scene is kept", |_| {
+            assets.iter().all(|a| a.strong_count() == 0)
+        });
         resident_mib()
     }
 
@@ -182,6 +199,7 @@ pub fn a_monkey_does_no_harm() {
         random,
         view,
         recent: Vec::new(),
+        assets: Vec::new(),
     };
     let start = Instant::now();
     let mut resident = Vec::new();
@@ -203,6 +221,7 @@ pub fn a_monkey_does_no_harm() {
             monkey.send_any_input(what);
         }
         monkey.limit_scene();
+        monkey.note_assets();
         let Monkey { bench, recent, .. } = &mut monkey;
         if recent.len() > 12 {
             recent.remove(0);
