@@ -413,6 +413,14 @@ impl Engine {
         Ok(())
     }
 
+    /// Frees what the GPU holds of the last scene, if one is open.
+    pub fn forget_scene(&mut self) {
+        #[cfg(feature = "gpu")]
+        if let Some(renderer) = &mut self.gpu {
+            renderer.forget_scene();
+        }
+    }
+
     /// Gives up the GPU as if its driver had failed: the next picture finds the device lost. If
     /// none is open, tries to open one.
     pub fn lose_device(&mut self) {

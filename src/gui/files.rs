@@ -63,7 +63,7 @@ impl Workstation {
         if let Some(loading) = self.loading.take() {
             loading.cancel();
         }
-        self.worker.drop_jobs(|_| true);
+        self.worker.forget_scene();
         self.doc = None;
         self.session.forget();
         self.history = super::state::history::History::default();
@@ -281,7 +281,7 @@ impl Workstation {
         for notice in assets.library.notices() {
             self.report(LogLevel::Info, notice);
         }
-        self.worker.drop_jobs(|_| true);
+        self.worker.forget_scene();
         self.forget_pictures();
         self.history.start(&scene);
         self.cameras = super::state::history::CameraHistory::default();

@@ -152,6 +152,17 @@ impl Renderer {
         self.context.forget_groups();
     }
 
+    /// Frees what the device holds of the last scene. The pipelines stay.
+    pub fn forget_scene(&mut self) {
+        let volume = self.scene.volume.emptied();
+        self.scene = SceneCache::default();
+        self.scene.volume = volume;
+        self.targets = Targets::default();
+        self.context.forget_groups();
+        // A device that fails here fails at the next picture as well, which reports it.
+        let _freed = wait(&self.context.device.device);
+    }
+
     /// Bytes of the volume's textures on the device: values with colours, and gradients.
     pub fn volume_bytes(&self) -> [u64; 2] {
         self.scene.volume.bytes()

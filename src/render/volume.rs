@@ -196,6 +196,14 @@ impl VolumeCache {
         self.texture = None;
     }
 
+    /// A cache with the same limits that holds nothing.
+    pub fn emptied(&self) -> Self {
+        Self {
+            texture: None,
+            limits: self.limits,
+        }
+    }
+
     /// Uploads the volume to the GPU unless it is already there.
     pub(super) fn upload(
         &mut self,

@@ -9,7 +9,7 @@ use proptest::prelude::Rng as _;
 use proptest::test_runner::{RngAlgorithm, TestRng};
 use std::path::Path;
 use std::sync::{Arc, Weak};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 fn resident_mib() -> f64 {
     let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
@@ -160,7 +160,15 @@ impl Monkey {
         self.bench.until("a closed scene is kept", |_| {
             assets.iter().all(|a| a.strong_count() == 0)
         });
-        resident_mib()
+        // The last owner may still be freeing it.
+        let mut resident = resident_mib();
+        loop {
+            std::thread::sleep(Duration::from_millis(100));
+            let before = std::mem::replace(&mut resident, resident_mib());
+            if resident > before - 1.0 {
+                return resident;
+            }
+        }
     }
 
     /// Limits the number of deformations, surfaces and measures, since memory grows with them.

@@ -193,6 +193,8 @@ struct Queue {
     backend: Backend,
     /// The device must be given up before the next picture.
     lose_device: bool,
+    /// The device must free the last scene before the next job.
+    forget_scene: bool,
 }
 
 #[derive(Default)]
@@ -285,12 +287,19 @@ impl Worker {
     /// Whether no job is running or waiting.
     pub fn is_idle(&self) -> bool {
         let queue = lock(&self.shared.queue);
-        queue.running.is_none() && queue.jobs.is_empty()
+        queue.running.is_none() && queue.jobs.is_empty() && !queue.forget_scene
     }
 
     /// Selects the backend for subsequent pictures.
     pub fn set_backend(&self, backend: Backend) {
         lock(&self.shared.queue).backend = backend;
+    }
+
+    /// Drops all jobs and cancels the running one; the device frees what it holds of their scene.
+    pub fn forget_scene(&self) {
+        self.drop_jobs(|_| true);
+        lock(&self.shared.queue).forget_scene = true;
+        self.shared.wake.notify_one();
     }
 
     /// Gives up the GPU: the next picture finds its device lost, and reopens it.
@@ -326,12 +335,20 @@ struct StartedJob {
     lose_device: bool,
 }
 
-/// Waits for a job and takes the most urgent one; none once the queue is closed.
-fn next_job(shared: &WorkerState) -> Option<StartedJob> {
+/// Waits for a job and takes the most urgent one; none once the queue is closed. Before it waits or
+/// takes one, `forget_scene` is called if it was requested.
+fn next_job(shared: &WorkerState, mut forget_scene: impl FnMut()) -> Option<StartedJob> {
     let mut queue = lock(&shared.queue);
     loop {
         if queue.closed {
             return None;
+        }
+        if queue.forget_scene {
+            drop(queue);
+            forget_scene();
+            queue = lock(&shared.queue);
+            queue.forget_scene = false;
+            continue;
         }
         if let Some(n) = (0..queue.jobs.len()).min_by_key(|n| queue.jobs[*n].target.urgency()) {
             let job = queue.jobs.remove(n);
@@ -370,8 +387,11 @@ fn run(
         cancel,
         backend,
         lose_device,
-    }) = next_job(shared)
-    {
+    }) = next_job(shared, || {
+        if let Some(engine) = &mut renderer.engine {
+            engine.forget_scene();
+        }
+    }) {
         shared.progress.store(0, Ordering::Relaxed);
         if let (true, Ok(engine)) = (lose_device, renderer.engine(backend)) {
             engine.lose_device();
