@@ -2,6 +2,7 @@
 
 use super::bench::Bench;
 use eframe::egui::{self, Key, Modifiers, PointerButton, Rect, pos2, vec2};
+use incise::engine::Backend;
 use incise::gui::state::action::{Action, ActionEntry};
 use incise::gui::state::files::{Dialog, NextStep};
 use incise::prepare::Assets;
@@ -151,9 +152,13 @@ impl Monkey {
         }
     }
 
-    /// Closes the scene, whose caches may hold several hundred MiB, and returns what remains.
+    /// Closes the scene, whose caches may hold several hundred MiB, and the GPU, whose software
+    /// driver keeps what it compiles in this process; returns what remains.
     fn resident_without_scene(&mut self) -> f64 {
         let ctx = self.bench.ctx();
+        // A click may have selected a GPU. It is closed when the CPU renders.
+        self.bench.app().set_backend(Backend::Cpu);
+        self.bench.settle();
         self.bench.app().proceed(&ctx, NextStep::Close);
         self.bench.settle();
         let assets = std::mem::take(&mut self.assets);
