@@ -5,7 +5,7 @@ use glam::{DAffine3, DVec3, Vec3};
 use incise::prepare::{Assets, Prepared};
 use incise::scene::{Antialias, Projection, Scene};
 use incise::transfer::RelativeTo;
-use incise::volume::{Rescale, Volume, Voxels, phantom};
+use incise::volume::{Colors, Rescale, Volume, Voxels, phantom};
 use serde_json::json;
 
 const EDGE: usize = 72;
@@ -148,6 +148,11 @@ fn scans() -> Vec<(&'static str, Volume, &'static str)> {
             .collect::<Vec<_>>(),
     );
     labels.declared_labels = true;
+    // A stained section: brown on a nearly black background.
+    let stain = volume_of(brain, 3.0);
+    let mut colored = bytes(stain.iter().map(|v| 0.6 * v).collect());
+    let channels = |v: &f32| [1.0, 0.5, 0.3].map(|c| (c * v).clamp(0.0, 255.0) as u8);
+    colored.colors = Some(Colors::rgb(stain.iter().flat_map(channels).collect()));
     let shell = |p: Vec3| {
         if (22.0..25.0).contains(&p.length()) {
             900.0
@@ -191,6 +196,7 @@ fn scans() -> Vec<(&'static str, Volume, &'static str)> {
         ("shell", volume(volume_of(shell, 20.0)), "mr-default"),
         ("uptake", pet, "pet-hot"),
         ("labels", labels, "labels"),
+        ("colours", colored, "color"),
     ]
 }
 
