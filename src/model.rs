@@ -140,12 +140,13 @@
 //!
 //! # Light
 //!
-//! One directional light, Blinn-Phong, in deformed space. With base colour C, half vector h between
-//! the light and the eye, and the weights of the scene's `[light]`:
+//! A directional key light and an even sky, Blinn-Phong, in deformed space. With base colour C, half
+//! vector h between the light and the eye, and the weights of the scene's `[light]`:
 //!
 //! ```text
-//! even = C (ambient + 0.6 diffuse)
-//! lit  = C (ambient + diffuse max(n·l, 0)) + specular max(n·h, 0)^shininess        highlight only if n·l > 0
+//! sky  = ambient sky_color,  key = diffuse key_color
+//! even = C (sky + 0.6 key)
+//! lit  = C (sky + key max(n·l, 0)) + key_color specular max(n·h, 0)^shininess        highlight only if n·l > 0
 //! out  = even + (lit - even) c
 //! ```
 //!

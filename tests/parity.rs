@@ -394,6 +394,13 @@ fn options_agree() {
     add("iso-surface by derivative", &|s| {
         s.render.iso = Some(-100.0);
         s.render.iso_light = IsoLight::Derivative;
+        s.light.key_color = [1.0, 0.7, 0.4];
+        s.light.sky_color = [0.5, 0.8, 1.0];
+    });
+    add("coloured light", &|s| {
+        s.light.apply("raking,sky=0.4").unwrap();
+        s.light.key_color = [1.0, 0.7, 0.4];
+        s.light.sky_color = [0.5, 0.8, 1.0];
     });
     for (name, scene) in variants {
         for mode in [Mode::Slice, Mode::Raycast] {

@@ -301,7 +301,7 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
     }
     if ISO == ISO_DERIVATIVE && !through_cut {
         return clamp(
-            color * (frame.ambient + frame.diffuse * light_cosine_by_derivative(inside)),
+            color * even_light(light_cosine_by_derivative(inside)),
             vec3<f32>(0.0),
             vec3<f32>(1.0),
         );
@@ -351,8 +351,7 @@ fn far_from_faces(in_voxel: vec3<f32>) -> bool {
 }
 
 fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
-    let even = frame.ambient + ISOTROPIC_DIFFUSE * frame.diffuse;
-    let shone = shine(dot(n.normal, frame.to_light), dot(n.normal, half), frame.specular, frame.shininess);
-    let lit = color * shone.x + shone.y;
-    return clamp(mix(color * even, lit, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
+    let even = even_light(ISOTROPIC_DIFFUSE);
+    let shone = lit(color, dot(n.normal, frame.to_light), dot(n.normal, half), frame.specular, frame.shininess);
+    return clamp(mix(color * even, shone, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -64,6 +64,11 @@ struct Frame {
     // Where in its pixel every sample of a pass lies, pixels from the centre.
     sample_offset: vec2<f32>,
     more_padding: vec2<f32>,
+    // Colour of the key light and of its highlight.
+    key_color: vec3<f32>,
+    key_padding: f32,
+    sky_color: vec3<f32>,
+    sky_padding: f32,
 }
 
 // An analytic cut shape (src/deform/cut.rs).

@@ -133,6 +133,10 @@ pub struct Common {
     /// inside.
     #[arg(long, value_name = "MESH")]
     inside: Option<PathBuf>,
+    /// A preset (see incise list), settings, or both: azimuth and elevation of the key light in
+    /// degrees, strengths of key light and sky (0 to 1).
+    #[arg(long, value_name = "PRESET|key=value,...")]
+    light: Option<String>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
     #[arg(long, value_parser = arguments::background)]
     background: Option<[f32; 4]>,
@@ -227,6 +231,9 @@ impl Common {
             Some(ProjectionName::Orthographic) => camera.projection = Projection::Orthographic,
             None => {}
         }
+        if let Some(light) = &self.light {
+            scene.light.apply(light)?;
+        }
         let transfer = &mut scene.transfer;
         if let Some(preset) = &self.preset {
             transfer.preset = Some(preset.clone());
@@ -301,6 +308,7 @@ impl Common {
         let given = [
             (self.slab.is_some(), "--slab", "render.slab"),
             (self.filter.is_some(), "--filter", "render.filter"),
+            (self.light.is_some(), "--light", "light.diffuse"),
             (self.preset.is_some(), "--preset", "transfer.preset"),
             (self.window.is_some(), "--window", "transfer.window"),
             (self.level.is_some(), "--level", "transfer.level"),

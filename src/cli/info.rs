@@ -5,8 +5,8 @@ use super::progress::TerminalProgress;
 use crate::deform::file_kinds::FILE_KINDS;
 use crate::deform::kinds::{self, DefaultSize, Kind, Unit};
 use crate::files::path_text::{path_of, text_of};
-use crate::scene::Scene;
 use crate::scene::surface::{DEFORMERS, LOOKS};
+use crate::scene::{LIGHT_PRESETS, Scene};
 use crate::transfer;
 use crate::volume::function::FUNCTIONS;
 use crate::volume::load::{self, ReadOptions, SeriesInfo};
@@ -254,7 +254,7 @@ fn notes(kind: &Kind) -> &'static str {
     }
 }
 
-/// Presets, kinds, looks, mesh deformers and phantoms as text.
+/// Presets, kinds, looks, lights, mesh deformers and phantoms as text.
 pub fn catalogue() -> String {
     let mut out = String::from("Presets (--preset)\n");
     for p in transfer::list() {
@@ -292,6 +292,10 @@ pub fn catalogue() -> String {
     out.push_str("\nSurface looks (--look)\n");
     for (name, about, _) in LOOKS {
         out.push_str(&format!("  {name:<22} {about}\n"));
+    }
+    out.push_str("\nLights (--light PRESET,key=value,...)\n");
+    for p in LIGHT_PRESETS {
+        out.push_str(&format!("  {:<22} {}\n", p.name, p.about));
     }
     out.push_str("\nForward deformers of meshes ([[mesh.deformer]] in scenes)\n");
     for (name, about, parameters) in DEFORMERS {

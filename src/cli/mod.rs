@@ -51,8 +51,8 @@ enum Command {
     Info(Box<info::InfoArguments>),
     /// Print the JSON schema of scene files.
     Schema,
-    /// List presets, kinds of deformation with their parameters, looks of surfaces, deformers of
-    /// meshes, and phantoms.
+    /// List presets, kinds of deformation with their parameters, looks of surfaces, lights,
+    /// deformers of meshes, and phantoms.
     List,
 }
 

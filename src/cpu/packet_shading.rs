@@ -340,14 +340,15 @@ impl PacketSampler<'_> {
         half: Vec3x8<S>,
         color: Vec3x8<S>,
     ) -> Vec3x8<S> {
-        let light = &self.scene.light;
+        let light = self.scene.light.blinn_phong();
         let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
-        let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
-        let (diffuse, highlight) = light.blinn_phong().shine(normal.dot(to_light), normal.dot(half));
+        let even = light.even(ISOTROPIC_DIFFUSE);
+        let (factors, highlight) = light.shine(normal.dot(to_light), normal.dot(half));
+        let [r, g, b] = light.highlight_color;
         Vec3x8 {
-            x: lit(color.x, even, diffuse, highlight, confidence),
-            y: lit(color.y, even, diffuse, highlight, confidence),
-            z: lit(color.z, even, diffuse, highlight, confidence),
+            x: lit(color.x, even[0], factors[0], highlight * r, confidence),
+            y: lit(color.y, even[1], factors[1], highlight * g, confidence),
+            z: lit(color.z, even[2], factors[2], highlight * b, confidence),
         }
     }
 }

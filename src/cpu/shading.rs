@@ -348,7 +348,8 @@ pub(super) fn iso_surface(
     let gradient = world_from_voxel_covector(scene, per_voxel);
     if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
         let facing = light_cosine_by_derivative(scene, sampler, inside);
-        return (color * (scene.light.ambient + scene.light.diffuse * facing)).clamp(Vec3::ZERO, Vec3::ONE);
+        let factors = Vec3::from(scene.light.blinn_phong().even(facing));
+        return (color * factors).clamp(Vec3::ZERO, Vec3::ONE);
     }
     let normal = shaded_normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
     light(scene, normal, direction, color)
@@ -386,13 +387,10 @@ pub fn shaded_normal(
 
 /// The light on a sample; even where it has no normal.
 fn light(scene: &Prepared, n: Normal, direction: Vec3, color: Vec3) -> Vec3 {
-    let light = &scene.light;
+    let light = scene.light.blinn_phong();
     let to_light = scene.frame.to_light;
-    let even = light.ambient + ISOTROPIC_DIFFUSE * light.diffuse;
+    let even = Vec3::from(light.even(ISOTROPIC_DIFFUSE));
     let half = normalize_or(to_light - direction, to_light);
-    let (diffuse, highlight) = light
-        .blinn_phong()
-        .shine(n.normal.dot(to_light), n.normal.dot(half));
-    let lit = color * diffuse + highlight;
+    let lit = light.lit(color, n.normal.dot(to_light), n.normal.dot(half));
     (color * even + (lit - color * even) * n.confidence).clamp(Vec3::ZERO, Vec3::ONE)
 }

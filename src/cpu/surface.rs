@@ -624,6 +624,6 @@ fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3
         shininess,
         ..scene.light.blinn_phong()
     };
-    let (diffuse, highlight) = light.shine(normal.dot(to_light), normal.dot(half));
-    (color * diffuse + highlight).clamp(Vec3::ZERO, Vec3::ONE)
+    let lit = light.lit(color, normal.dot(to_light), normal.dot(half));
+    lit.clamp(Vec3::ZERO, Vec3::ONE)
 }

@@ -1,20 +1,24 @@
-//! Blinn-Phong under one directional light (Blinn 1977), for one sample and for eight at once.
+//! Blinn-Phong under one directional light and an even sky (Blinn 1977), for one sample and for
+//! eight at once.
 //!
 //! `shaders/lib/light.wgsl` computes the same.
 
 use super::lanes::*;
+use glam::Vec3;
 
 /// Coefficients of a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlinnPhong {
-    /// Ambient weight.
-    pub ambient: f32,
-    /// Diffuse weight of the directional light.
-    pub diffuse: f32,
+    /// Ambient weights of red, green and blue.
+    pub ambient: [f32; 3],
+    /// Diffuse weights of the directional light.
+    pub diffuse: [f32; 3],
     /// Strength of the highlight.
     pub specular: f32,
     /// Exponent of the highlight.
     pub shininess: f32,
+    /// Colour of the highlight.
+    pub highlight_color: [f32; 3],
 }
 
 /// The number types of the lighting code: one number, or eight.
@@ -74,13 +78,31 @@ fn whole(exponent: f32) -> Option<u32> {
 }
 
 impl BlinnPhong {
-    /// The factor on a surface's colour, and the highlight added to it. `facing` is the cosine
-    /// between the normal and the light, `cosine` that between the normal and the half vector.
+    /// The factors on red, green and blue of a surface's colour, and the strength of the highlight
+    /// added to it. `facing` is the cosine between the normal and the light, `cosine` that between
+    /// the normal and the half vector.
     #[inline(always)]
-    pub fn shine<N: LightNumber>(&self, facing: N, cosine: N) -> (N, N) {
+    pub fn shine<N: LightNumber>(&self, facing: N, cosine: N) -> ([N; 3], N) {
+        let [r, g, b] = self.ambient;
         (
-            facing.positive_times_plus(self.diffuse, self.ambient),
+            [
+                facing.positive_times_plus(self.diffuse[0], r),
+                facing.positive_times_plus(self.diffuse[1], g),
+                facing.positive_times_plus(self.diffuse[2], b),
+            ],
             N::highlight(facing, cosine, self.specular, self.shininess),
         )
+    }
+
+    /// The colour of a surface under the light, not clamped; the cosines as for [`Self::shine`].
+    pub fn lit(&self, color: Vec3, facing: f32, cosine: f32) -> Vec3 {
+        let (factors, highlight) = self.shine(facing, cosine);
+        color * Vec3::from(factors) + Vec3::from(self.highlight_color) * highlight
+    }
+
+    /// Factors on a colour with a share of the directional light, independent of a normal.
+    #[inline(always)]
+    pub fn even(&self, share: f32) -> [f32; 3] {
+        std::array::from_fn(|c| self.ambient[c] + share * self.diffuse[c])
     }
 }

@@ -103,8 +103,12 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         &[
             "light.follows_camera",
             "light.direction",
+            "light.azimuth",
+            "light.elevation",
             "light.ambient",
             "light.diffuse",
+            "light.key_color",
+            "light.sky_color",
         ],
         "nothing is shaded",
     );

@@ -168,7 +168,7 @@ impl<'a> Prepared<'a> {
 
 /// The unit vector towards a light, world.
 fn to_light(light: &Light, view: &ViewFrame) -> Vec3 {
-    let d = Vec3::from(light.direction);
+    let d = light.toward();
     let to_light = if light.follows_camera {
         normalize_or(view.right, Vec3::X) * d.x + normalize_or(view.up, Vec3::Z) * d.y - view.forward * d.z
     } else {

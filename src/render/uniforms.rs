@@ -67,6 +67,10 @@ pub struct FrameUniform {
     pub thin_depth: f32,
     pub sample_offset: [f32; 2],
     pub more_padding: [f32; 2],
+    pub key_color: [f32; 3],
+    pub key_padding: f32,
+    pub sky_color: [f32; 3],
+    pub sky_padding: f32,
 }
 
 /// `CutShape` of the shaders.
@@ -189,6 +193,10 @@ impl FrameUniform {
             thin_depth: scene.thin_depth(),
             sample_offset: [0.0; 2],
             more_padding: [0.0; 2],
+            key_color: light.key_color,
+            key_padding: 0.0,
+            sky_color: light.sky_color,
+            sky_padding: 0.0,
         }
     }
 

@@ -22,6 +22,15 @@ pub struct View {
     pub elevation_deg: f32,
 }
 
+impl View {
+    /// The unit vector from the scene towards the camera: L, P, S.
+    pub fn toward_eye(self) -> Vec3 {
+        let (sin_az, cos_az) = self.azimuth_deg.to_radians().sin_cos();
+        let (sin_el, cos_el) = self.elevation_deg.to_radians().sin_cos();
+        Vec3::new(sin_az * cos_el, -cos_az * cos_el, sin_el)
+    }
+}
+
 const NAMED: [(&str, f32, f32); 6] = [
     ("anterior", 0.0, 0.0),
     ("posterior", 180.0, 0.0),
@@ -179,7 +188,7 @@ impl Camera {
         }
         let (sin_az, cos_az) = self.view.azimuth_deg.to_radians().sin_cos();
         let (sin_el, cos_el) = self.view.elevation_deg.to_radians().sin_cos();
-        let forward = -Vec3::new(sin_az * cos_el, -cos_az * cos_el, sin_el);
+        let forward = -self.view.toward_eye();
         let up = Vec3::new(-sin_az * sin_el, cos_az * sin_el, cos_el);
         let right = forward.cross(up);
         let (sin_roll, cos_roll) = (-self.roll).to_radians().sin_cos();

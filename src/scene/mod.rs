@@ -11,6 +11,7 @@ pub mod example;
 pub mod file;
 mod keys;
 pub mod kinds;
+mod light;
 mod limits;
 pub mod measure;
 mod migrate;
@@ -21,11 +22,11 @@ pub mod surface;
 
 pub use antialias::Antialias;
 pub use camera::{Camera, Projection, View, ViewFrame};
+pub use light::{LIGHT_PRESETS, Light, LightPreset};
 pub use placement::{DefaultPlacement, VisibleObject};
 
 use crate::deform::{Arguments, Storage};
 use crate::files::path_text::path_of;
-use crate::math::light::BlinnPhong;
 use crate::transfer::{SuitablePreset, TransferSettings, suitable_preset};
 use crate::volume::load::ReadOptions;
 use crate::volume::{GradientFilter, Volume, phantom};
@@ -205,60 +206,6 @@ impl Deformation {
             storage: None,
             resolution: None,
             parameters: Arguments::default(),
-        }
-    }
-}
-
-/// The `[light]` section: one directional light, Blinn-Phong.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Light {
-    /// Ambient light, 0..1.
-    pub ambient: f32,
-    /// Diffuse coefficient of the directional light, 0..1.
-    pub diffuse: f32,
-    /// Specular coefficient (strength of the highlight), 0..1.
-    pub specular: f32,
-    /// Specular exponent.
-    pub shininess: f32,
-    /// Direction towards the light: right, up and towards the viewer for a headlight, otherwise L,
-    /// P, S.
-    pub direction: [f32; 3],
-    /// Whether the light moves with the camera.
-    pub follows_camera: bool,
-    /// Two-sided lighting, as scalar volumes need (their gradients have no outside).
-    pub two_sided: bool,
-}
-
-impl Light {
-    /// The Blinn-Phong coefficients.
-    pub fn blinn_phong(&self) -> BlinnPhong {
-        let Self {
-            ambient,
-            diffuse,
-            specular,
-            shininess,
-            ..
-        } = *self;
-        BlinnPhong {
-            ambient,
-            diffuse,
-            specular,
-            shininess,
-        }
-    }
-}
-
-impl Default for Light {
-    fn default() -> Self {
-        Self {
-            ambient: 0.3,
-            diffuse: 0.7,
-            specular: 0.15,
-            shininess: 24.0,
-            direction: [-0.3, 0.5, 1.0],
-            follows_camera: true,
-            two_sided: true,
         }
     }
 }

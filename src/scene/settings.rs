@@ -4,7 +4,6 @@ use super::{Antialias, Light, RenderSettings, Scene};
 use crate::files::memory;
 use crate::picture::{MAX_PICTURE_EDGE, MAX_PIXELS};
 use crate::{Error, Result};
-use glam::DVec3;
 
 impl Scene {
     /// Checks every number of the scene against the limits, and the render settings for validity.
@@ -89,31 +88,5 @@ fn check_settings(settings: &RenderSettings, light: &Light) -> Result<()> {
     if !settings.background.iter().all(|c| (0.0..=1.0).contains(c)) {
         return Err(Error::value("background", "its components must lie within 0..1"));
     }
-    let unit = [
-        ("ambient", light.ambient),
-        ("diffuse", light.diffuse),
-        ("specular", light.specular),
-    ];
-    for (name, value) in unit {
-        if !(0.0..=1.0).contains(&value) {
-            return Err(Error::value(
-                format!("light.{name}"),
-                format!("{value} is outside 0 to 1"),
-            ));
-        }
-    }
-    if !(1.0..=10_000.0).contains(&light.shininess) {
-        return Err(Error::value(
-            "light.shininess",
-            format!("{} is outside 1 to 10000", light.shininess),
-        ));
-    }
-    let direction = DVec3::from(light.direction.map(f64::from));
-    if !(direction.is_finite() && direction.length() > 1e-6) {
-        return Err(Error::value(
-            "light.direction",
-            "must be a direction: finite and not zero",
-        ));
-    }
-    Ok(())
+    light.check()
 }

@@ -77,6 +77,12 @@ pub(super) fn surface_options_agree() {
         scene.surface.steps = steps;
         check(&format!("{steps:?} steps"), &scene);
     }
+    for name in ["bunny-twist", "bunny-deformers"] {
+        let mut scene = small(name);
+        scene.light.apply("raking,elevation=40").unwrap();
+        (scene.light.key_color, scene.light.sky_color) = ([1.0, 0.7, 0.4], [0.5, 0.8, 1.0]);
+        check(&format!("{name} under a coloured light"), &scene);
+    }
     let mut averaged = small("gyroid");
     averaged.render.antialias = Antialias::Grid(3);
     check("averaged pixels", &averaged);

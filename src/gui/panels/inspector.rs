@@ -1,6 +1,7 @@
 //! All properties of the selection, as numbers with their units. A double-click on a name resets
 //! its value to the default.
 
+mod light;
 mod mesh;
 mod picture;
 mod settings;

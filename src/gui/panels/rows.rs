@@ -45,6 +45,17 @@ pub(super) fn choice<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T
     });
 }
 
+/// A slider with a label and a tooltip.
+pub(super) fn slider(ui: &mut Ui, v: &mut f32, range: std::ops::RangeInclusive<f32>, word: &str, tip: &str) {
+    ui.add(
+        egui::Slider::new(v, range)
+            .clamping(egui::SliderClamping::Edits)
+            .text(word)
+            .max_decimals(2),
+    )
+    .on_hover_text(tip);
+}
+
 /// The list alone, of which `word` is the name for assistive technology.
 pub(super) fn drop_down<T: PartialEq + Copy>(ui: &mut Ui, word: &str, value: &mut T, all: &[(T, &str)]) {
     let now = all.iter().find(|(v, _)| v == value).map_or("", |(_, w)| w);

@@ -1,17 +1,17 @@
 //! How the picture is made: sampling, shading, light, camera.
 
+use super::light::show_light;
 use crate::gui::panels::heading;
-use crate::gui::panels::rows::{ANTIALIAS, choice};
+use crate::gui::panels::rows::{ANTIALIAS, choice, slider};
 use crate::gui::state::document::Document;
 use crate::gui::state::request::Requests;
 use crate::scene::surface::SurfaceSettings;
 use crate::scene::{
-    BlendFormat, CutFaces, JacobianSource, Light, MapFiltering, Mode, Normals, Projection, RenderSettings,
-    Scene, SliceOrder, VolumeFilter,
+    BlendFormat, CutFaces, JacobianSource, MapFiltering, Mode, Normals, Projection, RenderSettings, Scene,
+    SliceOrder, VolumeFilter,
 };
 use crate::volume::{GradientFilter, Volume};
 use eframe::egui::{self, DragValue, Slider, Ui};
-use std::ops::RangeInclusive;
 
 /// How the picture is made: sampling, shading, light, camera.
 pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut Requests) {
@@ -44,17 +44,6 @@ pub(super) fn show_picture_settings(ui: &mut Ui, doc: &Document, requests: &mut 
     if scene != doc.scene {
         requests.change(move |doc| doc.scene = scene);
     }
-}
-
-/// A slider with a label and a tooltip.
-fn slider(ui: &mut Ui, v: &mut f32, range: RangeInclusive<f32>, word: &str, tip: &str) {
-    ui.add(
-        Slider::new(v, range)
-            .clamping(egui::SliderClamping::Edits)
-            .text(word)
-            .max_decimals(2),
-    )
-    .on_hover_text(tip);
 }
 
 /// Step length and antialiasing.
@@ -180,34 +169,6 @@ fn show_iso_value(ui: &mut Ui, surface: &mut SurfaceSettings, volume: &Volume) {
             surface.iso = Some(v);
         }
     });
-}
-
-/// Strength of ambient, diffuse and specular light, and where it comes from.
-fn show_light(ui: &mut Ui, light: &mut Light) {
-    heading(ui, "Light");
-    slider(ui, &mut light.ambient, 0.0..=1.0, "ambient", "Ambient light");
-    slider(
-        ui,
-        &mut light.diffuse,
-        0.0..=1.0,
-        "diffuse",
-        "Diffuse reflection of the light",
-    );
-    slider(
-        ui,
-        &mut light.specular,
-        0.0..=1.0,
-        "specular",
-        "Strength of the specular highlight",
-    );
-    slider(
-        ui,
-        &mut light.shininess,
-        1.0..=200.0,
-        "shininess",
-        "Specular exponent; higher is tighter",
-    );
-    ui.checkbox(&mut light.follows_camera, "Headlight (moves with the camera)");
 }
 
 /// Projection, field of view and background.
