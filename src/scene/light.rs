@@ -99,10 +99,10 @@ pub const LIGHT_PRESETS: [LightPreset; 5] = [
     LightPreset {
         name: "operating-lamp",
         about: "strong and white from above the viewer",
-        ambient: 0.18,
-        diffuse: 0.9,
+        ambient: 0.25,
+        diffuse: 0.85,
         azimuth: 0.0,
-        elevation: 50.0,
+        elevation: 42.0,
         key_color: WHITE,
         sky_color: [0.9, 0.95, 1.0],
     },
@@ -111,7 +111,7 @@ pub const LIGHT_PRESETS: [LightPreset; 5] = [
         about: "from the left, nearly along the surface: relief",
         ambient: 0.2,
         diffuse: 0.9,
-        azimuth: -78.0,
+        azimuth: -66.0,
         elevation: 15.0,
         key_color: WHITE,
         sky_color: WHITE,
@@ -119,10 +119,10 @@ pub const LIGHT_PRESETS: [LightPreset; 5] = [
     LightPreset {
         name: "back-light",
         about: "from behind: bright rims",
-        ambient: 0.3,
+        ambient: 0.45,
         diffuse: 1.0,
-        azimuth: 135.0,
-        elevation: 40.0,
+        azimuth: 120.0,
+        elevation: 35.0,
         key_color: [1.0, 0.97, 0.92],
         sky_color: [0.9, 0.94, 1.0],
     },
@@ -325,7 +325,7 @@ mod tests {
         let mut light = Light::default();
         light.apply("raking,key=0.5, elevation=30").unwrap();
         assert_eq!((light.diffuse, light.ambient), (0.5, 0.2));
-        assert_eq!(light.angles(), [-78.0, 30.0]);
+        assert_eq!(light.angles(), [-66.0, 30.0]);
         light.check().unwrap();
         for wrong in ["", "disco", "key=bright", "key=0.5,raking", "radius"] {
             let error = Light::default().apply(wrong).unwrap_err().to_string();
