@@ -296,7 +296,11 @@ const PAIRS: &[(&str, &str, &str)] = &[
         "shaders/lib/noise.wgsl",
         "noise",
     ),
-    ("src/math/light.rs", "shaders/lib/light.wgsl", "shine lit even=even_light"),
+    (
+        "src/math/light.rs",
+        "shaders/lib/light.wgsl",
+        "shine lit even=even_light",
+    ),
     ("src/math/mod.rs", "shaders/lib/math.wgsl", "normalize_or"),
     ("src/scene/camera.rs", "shaders/lib/march.wgsl", "ray=pixel_ray"),
 ];

@@ -72,29 +72,39 @@ pub(super) fn show_light(ui: &mut Ui, light: &mut Light) {
     ui.checkbox(&mut light.follows_camera, "Headlight (moves with the camera)");
 }
 
+/// The presets, and the light of a new scene; the highlight stays.
 fn show_presets(ui: &mut Ui, light: &mut Light) {
-    let chosen = |preset| {
-        let mut light = light.clone();
-        light.choose(preset);
-        light
+    let standard = Light {
+        specular: light.specular,
+        shininess: light.shininess,
+        two_sided: light.two_sided,
+        ..Light::default()
     };
-    let now = LIGHT_PRESETS.iter().find(|p| chosen(p) == *light);
+    let chosen = LIGHT_PRESETS.iter().map(|preset| {
+        let mut chosen = light.clone();
+        chosen.choose(preset);
+        (preset.name, preset.about, chosen)
+    });
+    let all: Vec<(&str, &str, Light)> = [("default", "the light of a new scene", standard)]
+        .into_iter()
+        .chain(chosen)
+        .collect();
+    let now = all.iter().find(|(.., of)| of == light).map(|(name, ..)| *name);
     let mut choice = None;
     let list = egui::ComboBox::from_id_salt("light preset")
-        .selected_text(now.map_or("custom", |p| p.name))
+        .selected_text(now.unwrap_or("custom"))
         .show_ui(ui, |ui| {
-            for preset in &LIGHT_PRESETS {
-                let is_chosen = now.is_some_and(|p| p.name == preset.name);
-                let entry = ui.selectable_label(is_chosen, preset.name);
-                if entry.on_hover_text(preset.about).clicked() {
-                    choice = Some(preset);
+            for (name, about, of) in &all {
+                let entry = ui.selectable_label(now == Some(*name), *name);
+                if entry.on_hover_text(*about).clicked() {
+                    choice = Some(of.clone());
                 }
             }
         });
     list.response
         .widget_info(|| egui::WidgetInfo::labeled(egui::WidgetType::ComboBox, true, "Light preset"));
-    if let Some(preset) = choice {
-        light.choose(preset);
+    if let Some(choice) = choice {
+        *light = choice;
     }
 }
 
