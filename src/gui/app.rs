@@ -161,7 +161,7 @@ impl Workstation {
                     let text = error.to_string();
                     match done.target {
                         JobTarget::Coarse | JobTarget::Fine => {
-                            self.view.failed(done.target, done.serial, &text)
+                            self.picture_failed(done.target, done.serial, &text)
                         }
                         JobTarget::Slice(n) => self.slices.failed(n, done.serial, &text),
                         JobTarget::Compare(side) => self.compare.failed(side, done.serial, &text),

@@ -41,11 +41,8 @@ impl Workstation {
             return;
         }
         let assets = doc.assets.clone();
-        let Some(scene) = self.scene_of_view() else { return };
-        let wanted = PictureRequest {
-            scene: Arc::new(scene),
-            assets: assets.clone(),
-            undeformed: self.shows_undeformed(),
+        let Some(wanted) = self.wanted_picture() else {
+            return;
         };
         let wanted = match &self.view.requested {
             Some(requested) if requested.is(&wanted) => requested.clone(),
@@ -76,6 +73,27 @@ impl Workstation {
             self.view.open.push((serial, wanted));
         } else if waits {
             ctx.request_repaint_after_secs(REST as f32);
+        }
+    }
+
+    /// What the 3D view should show.
+    fn wanted_picture(&self) -> Option<PictureRequest> {
+        Some(PictureRequest {
+            scene: Arc::new(self.scene_of_view()?),
+            assets: self.doc.as_ref()?.assets.clone(),
+            undeformed: self.shows_undeformed(),
+        })
+    }
+
+    /// Handles a failed job of the 3D view. The scene may have been mended since it was requested.
+    pub(super) fn picture_failed(&mut self, target: JobTarget, serial: u64, problem: &str) {
+        self.view.failed(target, serial, problem);
+        let is_wanted = self
+            .wanted_picture()
+            .zip(self.view.requested.as_ref())
+            .is_some_and(|(wanted, requested)| wanted.is(requested));
+        if !is_wanted {
+            self.view.delay.failure = None;
         }
     }
 
