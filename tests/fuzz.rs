@@ -411,9 +411,11 @@ impl Maker<'_> {
             "rotate" | "roll" | "phase" | "angle" => self.random.between(-180.0, 180.0),
             "matrix" => self.random.between(-90.0, 90.0),
             "progress" => [0.0, 0.3, 0.7, 1.0][self.random.below(4)],
-            "color" | "inside_color" | "cut_color" | "background" | "opacity" | "factor" | "ambient"
-            | "diffuse" | "specular" => self.random.share(),
+            "color" | "key_color" | "sky_color" | "inside_color" | "cut_color" | "background" | "opacity"
+            | "factor" | "ambient" | "diffuse" | "specular" => self.random.share(),
             "direction" => self.random.between(-1.0, 1.0),
+            "azimuth" => self.random.between(-360.0, 360.0),
+            "elevation" => self.random.between(-90.0, 90.0),
             "shininess" => self.random.between(1.0, 100.0),
             "step" => [0.4, 0.7, 1.0, 1.0, 2.0, 5.0][self.random.below(6)],
             "zoom" => 10f64.powf(self.random.between(-0.4, 0.8)),

@@ -257,7 +257,7 @@ pub fn a_monkey_does_no_harm() {
     }
     resident.push(monkey.resident_without_scene());
     let most = |part: &[f64]| part.iter().copied().fold(0.0, f64::max);
-    // Fonts, icons and the lists of the program's own panels fill in the first half.
+    // What outlives every scene, such as fonts and a driver's libraries, is loaded in the first half.
     let (warm, end) = (most(&resident[..resident.len() / 2 + 1]), most(&resident));
     println!(
         "{count} actions in {:.0} s; resident MiB at each eighth: {resident:.0?}",
