@@ -30,6 +30,9 @@
 // Positions of listed samples on the picture, pixels.
 @group(0) @binding(20) var sample_positions: texture_2d<f32>;
 
+// S and V_raw over the deformed scene (src/prepare/light_volume/mod.rs).
+@group(0) @binding(21) var light_volume: texture_3d<f32>;
+
 // Distance of a pixel without a surface.
 const FAR_AWAY: f32 = 1e30;
 
@@ -37,6 +40,8 @@ const FAR_AWAY: f32 = 1e30;
 override COLORS: u32 = COLORS_NONE;
 // 1: there are surfaces behind the volume.
 override BEHIND: u32 = 0u;
+// 1: light casts shadows or is dimmed in hollows, as the light volume says.
+override LIGHT_VOLUME: u32 = 0u;
 // 1: what is drawn is not a picture but a list of samples of one, row by row.
 override LISTED: u32 = 0u;
 // Number of analytic cut shapes.
@@ -109,6 +114,12 @@ fn sample_gradients(p: vec3<f32>) -> vec4<f32> {
 
 fn sample_colors(p: vec3<f32>) -> vec4<f32> {
     return sample_texture(colors, p, frame.texture_size, frame.per_texture_size);
+}
+
+// S and V_raw at a point of the deformed scene.
+fn sample_light(p: vec3<f32>) -> vec2<f32> {
+    let at = (p - frame.light_origin) * frame.light_per_size;
+    return textureSampleLevel(light_volume, linear_clamp, at, 0.0).rg;
 }
 
 // Samples a block of the size of map k in an atlas at a position in its texels.

@@ -21,7 +21,10 @@ fn fragment(vertex: Vertex, @builtin(front_facing) front: bool) -> Drawn {
     let t = dot(vertex.world - ray.origin, ray.direction);
     let normal = normalize_or(vertex.normal, -ray.direction);
     let color = surface_light(
-        select(-normal, normal, front), ray.direction, select(object.inside, object.color, front)
+        select(-normal, normal, front),
+        vertex.world,
+        ray.direction,
+        select(object.inside, object.color, front),
     );
     return Drawn(vec4<f32>(color, 1.0), t, depth_of(t));
 }

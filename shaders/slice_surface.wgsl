@@ -48,7 +48,7 @@ fn slice_hit(slice: Slice) -> SliceHit {
             let own = select(
                 select(object.inside, object.color, event.side == OUTSIDE), object.cut, event.side == CUT_FACE
             );
-            let color = surface_light(surface_normal(p, event.side), ray.direction, own);
+            let color = surface_light(surface_normal(p, event.side), p, ray.direction, own);
             hit = SliceHit(vec4<f32>(color, 1.0), event.t);
         }
     }

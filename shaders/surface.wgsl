@@ -18,7 +18,7 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Drawn {
         let own = select(
             select(object.inside, object.color, event.side == OUTSIDE), object.cut, event.side == CUT_FACE
         );
-        color = surface_light(surface_normal(p, event.side), ray.direction, own);
+        color = surface_light(surface_normal(p, event.side), p, ray.direction, own);
     }
     var t = event.t;
     if object.both != 0u {

@@ -26,6 +26,7 @@ mod filters;
 mod functions;
 mod fuzz;
 mod kinds;
+mod light;
 mod mapping;
 mod metrics;
 mod nifti;
@@ -134,6 +135,9 @@ fn main() {
         normals_under_linear_maps, normals_under_a_twist, normals_on_cut_faces, anisotropic_ball_is_round,
         oblique_ball_is_round_and_lit_alike, path_through_a_cut_slab_is_exact, composition_is_the_formula,
         depth_of_projections, holes_are_empty));
+    all.extend(trials!(light:
+        occlusion_of_a_corner_a_slot_and_a_bowl, open_faces_stay_bright, shadow_of_a_plate_on_a_floor,
+        shadow_of_a_slab_is_its_transmittance, shadows_follow_the_deformation, light_volume_agrees_with_rays));
     all.extend(trials!(scenes:
         every_scene_loads_and_comes_back, every_version_is_read, skipping_and_termination_change_nothing,
         halving_the_step_changes_little, what_holds_a_volume_is_kept, cuts_are_lit_alike_at_every_step,

@@ -62,7 +62,8 @@ pub fn uniforms_match_their_structs() {
         blend_near_mm, to_light, blend_far_mm, proxy_min, ambient, proxy_max, diffuse, grid_size, specular, cells_origin, shininess, cell_mm,
         value_scale, cells, value_offset, picture, table_scale, table_offset, gradient_top, two_sided, has_holes, early_termination, grey_low, grey_high, iso, jitter, texture_size, gradient_scale, face,
         stored_offset, per_texture_size, thin_depth, sample_offset, more_padding,
-        key_color, key_padding, sky_color, sky_padding);
+        key_color, key_padding, sky_color, sky_padding,
+        light_origin, light_offset_mm, light_per_size, light_padding);
     same_layout!(&m, "CutShape", CutShapeUniform: local_from_world, half, shape, half_angle, sense, joins_previous, intersects_group);
     let s = module(Program::Surface, false);
     same_layout!(&s, "SurfaceObject", SurfaceObjectUniform: grid_from_world, world_from_grid, size, kind, cells_origin, resolution_mm, cell_mm, step_mm,
@@ -300,6 +301,11 @@ const PAIRS: &[(&str, &str, &str)] = &[
         "src/math/light.rs",
         "shaders/lib/light.wgsl",
         "shine lit even=even_light",
+    ),
+    (
+        "src/cpu/light.rs",
+        "shaders/lib/light.wgsl",
+        "facing_the_eye light_shares",
     ),
     ("src/math/mod.rs", "shaders/lib/math.wgsl", "normalize_or"),
     ("src/scene/camera.rs", "shaders/lib/march.wgsl", "ray=pixel_ray"),

@@ -187,7 +187,7 @@ fn shade_point(
         falling = opacity_slope_sign(s.value);
     }
     let n = shaded_normal(j.d_source_d_deformed, gradient_in_source * falling, cut, direction);
-    return Shaded(light(n, half, color), depth_factor);
+    return Shaded(light(n, s.depth, s.deformed, direction, half, color), depth_factor);
 }
 
 // How reliably a gradient in the source is that of a surface, 0 .. 1.
@@ -300,8 +300,9 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
         return color;
     }
     if ISO == ISO_DERIVATIVE && !through_cut {
+        let shares = light_shares(-direction, 0.0, SOLID_DEPTH, inside, direction);
         return clamp(
-            color * even_light(light_cosine_by_derivative(inside)),
+            color * even_light(light_cosine_by_derivative(inside), shares),
             vec3<f32>(0.0),
             vec3<f32>(1.0),
         );
@@ -318,7 +319,7 @@ fn iso_surface(deformed: vec3<f32>, direction: vec3<f32>, step_mm: f32) -> vec3<
         per_voxel = gradient(hit.in_voxel);
     }
     let n = shaded_normal(j.d_source_d_deformed, world_from_voxel_covector(per_voxel), cut, direction);
-    return light(n, half_vector(direction), color);
+    return light(n, SOLID_DEPTH, inside, direction, half_vector(direction), color);
 }
 
 const CUT_LOOKBACK_SHARE: f32 = 0.9;
@@ -350,8 +351,19 @@ fn far_from_faces(in_voxel: vec3<f32>) -> bool {
     return all(in_voxel > frame.face - 0.5) && all(in_voxel < frame.grid_size - 0.5 - frame.face);
 }
 
-fn light(n: Normal, half: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
-    let even = even_light(ISOTROPIC_DIFFUSE);
-    let shone = lit(color, dot(n.normal, frame.to_light), dot(n.normal, half), frame.specular, frame.shininess);
+fn light(
+    n: Normal,
+    depth: f32,
+    at: vec3<f32>,
+    direction: vec3<f32>,
+    half: vec3<f32>,
+    color: vec3<f32>,
+) -> vec3<f32> {
+    let normal = facing_the_eye(n.normal, direction);
+    let shares = light_shares(normal, n.confidence, depth, at, direction);
+    let even = even_light(ISOTROPIC_DIFFUSE, shares);
+    let shone = lit(
+        color, dot(normal, frame.to_light), dot(normal, half), frame.specular, frame.shininess, shares
+    );
     return clamp(mix(color * even, shone, n.confidence), vec3<f32>(0.0), vec3<f32>(1.0));
 }

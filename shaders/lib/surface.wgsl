@@ -298,11 +298,18 @@ fn surface_normal(p: vec3<f32>, side: u32) -> vec3<f32> {
     return select(outward, -outward, side == INSIDE);
 }
 
-fn surface_light(normal_in: vec3<f32>, direction: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+fn surface_light(
+    normal_in: vec3<f32>, at: vec3<f32>, direction: vec3<f32>, color: vec3<f32>
+) -> vec3<f32> {
     let away = max(dot(normal_in, direction), 0.0);
     let normal = normalize_or(normal_in - direction * away, -direction);
     let shone = lit(
-        color, dot(normal, frame.to_light), dot(normal, half_vector(direction)), object.highlight, object.shininess
+        color,
+        dot(normal, frame.to_light),
+        dot(normal, half_vector(direction)),
+        object.highlight,
+        object.shininess,
+        light_shares(normal, 1.0, SOLID_DEPTH, at, direction),
     );
     return clamp(shone, vec3<f32>(0.0), vec3<f32>(1.0));
 }

@@ -69,6 +69,12 @@ struct Frame {
     key_padding: f32,
     sky_color: vec3<f32>,
     sky_padding: f32,
+    // Corner of the light volume, mm, and 1 / its edges.
+    light_origin: vec3<f32>,
+    // How far in front of a surface its light is read.
+    light_offset_mm: f32,
+    light_per_size: vec3<f32>,
+    light_padding: f32,
 }
 
 // An analytic cut shape (src/deform/cut.rs).

@@ -29,6 +29,7 @@
 
 mod edges;
 mod found;
+mod light;
 pub mod march;
 mod outline;
 mod packet;

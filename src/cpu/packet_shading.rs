@@ -1,6 +1,7 @@
 //! [`super::shading`] for eight samples at once, and for those that must be shaded one by one.
 
 use super::SceneSample;
+use super::light::{LitSamples, light_shares_lanes};
 use super::edges::{FoundSamples, SampleExtents, ShadingRays, SurfaceEntries};
 use super::packet::{PacketSampler, SamplePacket};
 use super::shading::{
@@ -15,7 +16,7 @@ use glam::Vec3;
 #[inline(always)]
 fn lit<S: Simd>(
     color: f32x8<S>,
-    even: f32,
+    even: f32x8<S>,
     diffuse: f32x8<S>,
     highlight: f32x8<S>,
     confidence: f32x8<S>,
@@ -128,11 +129,15 @@ impl PacketSampler<'_> {
             & !self.far_from_faces(at.in_voxel, Vec3x8::splat(simd, self.face_margin_voxels));
         let (normal, confidence) =
             self.blended_at_faces(simd, at, sampled, rays.direction, near_cut, (normal, confidence));
-        (
-            self.light(simd, normal, confidence, rays.half, color),
-            factor,
-            cut,
-        )
+        let samples = LitSamples {
+            normal,
+            confidence,
+            depth: at.depth,
+            at: entry.deformed,
+            direction: rays.direction,
+        };
+        let lit = self.light(simd, samples, rays.half, color, bits);
+        (lit, factor, cut)
     }
 
     /// The colours of eight entries before lighting: from the transfer function, from the segments
@@ -335,15 +340,23 @@ impl PacketSampler<'_> {
     fn light<S: Simd>(
         &self,
         simd: S,
-        normal: Vec3x8<S>,
-        confidence: f32x8<S>,
+        mut samples: LitSamples<S>,
         half: Vec3x8<S>,
         color: Vec3x8<S>,
+        lanes: u64,
     ) -> Vec3x8<S> {
-        let light = self.scene.light.blinn_phong();
-        let to_light = Vec3x8::splat(simd, self.scene.frame.to_light);
-        let even = light.even(ISOTROPIC_DIFFUSE);
-        let (factors, highlight) = light.shine(normal.dot(to_light), normal.dot(half));
+        let scene = self.scene;
+        if scene.light_volume.is_some() {
+            // Light on the other side is not seen; as in `facing_the_eye`.
+            let away = samples.normal.dot(samples.direction).simd_gt(0.0);
+            samples.normal = Vec3x8::select(away, -samples.normal, samples.normal);
+        }
+        let shares = light_shares_lanes(simd, scene, self.sampler, &samples, lanes);
+        let (normal, confidence) = (samples.normal, samples.confidence);
+        let light = scene.light.blinn_phong();
+        let to_light = Vec3x8::splat(simd, scene.frame.to_light);
+        let even = light.even(ISOTROPIC_DIFFUSE, shares);
+        let (factors, highlight) = light.shine(normal.dot(to_light), normal.dot(half), shares);
         let [r, g, b] = light.highlight_color;
         Vec3x8 {
             x: lit(color.x, even[0], factors[0], highlight * r, confidence),

@@ -26,6 +26,7 @@
 //! `shaders/lib/shading.wgsl` computes the same.
 
 use super::SceneSample;
+use super::light::{SOLID_DEPTH, facing_the_eye, light_shares};
 use crate::deform::{Jet, NearestCut};
 use crate::math::{normalize_or, smoothstep};
 use crate::prepare::Prepared;
@@ -183,7 +184,7 @@ fn shade_point(
         direction,
     );
     Shaded {
-        color: light(scene, normal, direction, color),
+        color: light(scene, sampler, (normal, sample.depth), sample.deformed, direction, color),
         depth_factor,
     }
 }
@@ -348,11 +349,16 @@ pub(super) fn iso_surface(
     let gradient = world_from_voxel_covector(scene, per_voxel);
     if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
         let facing = light_cosine_by_derivative(scene, sampler, inside);
-        let factors = Vec3::from(scene.light.blinn_phong().even(facing));
+        let no_normal = Normal {
+            normal: -direction,
+            confidence: 0.0,
+        };
+        let shares = light_shares(scene, sampler, no_normal, SOLID_DEPTH, inside, direction);
+        let factors = Vec3::from(scene.light.blinn_phong().even(facing, shares));
         return (color * factors).clamp(Vec3::ZERO, Vec3::ONE);
     }
     let normal = shaded_normal(scene, &jet.d_source_d_deformed, gradient, &cut, direction);
-    light(scene, normal, direction, color)
+    light(scene, sampler, (normal, SOLID_DEPTH), inside, direction, color)
 }
 
 /// The normal of \[DDM06\] eq 7 in the deformed scene, from a source gradient per mm that points
@@ -385,12 +391,22 @@ pub fn shaded_normal(
     Normal { normal, confidence }
 }
 
-/// The light on a sample; even where it has no normal.
-fn light(scene: &Prepared, n: Normal, direction: Vec3, color: Vec3) -> Vec3 {
+/// The light on a sample of some optical depth at a point of the deformed scene; even where it has no
+/// normal.
+fn light(
+    scene: &Prepared,
+    sampler: &VolumeSampler,
+    (n, depth): (Normal, f32),
+    at: Vec3,
+    direction: Vec3,
+    color: Vec3,
+) -> Vec3 {
+    let n = facing_the_eye(scene, n, direction);
+    let shares = light_shares(scene, sampler, n, depth, at, direction);
     let light = scene.light.blinn_phong();
     let to_light = scene.frame.to_light;
-    let even = Vec3::from(light.even(ISOTROPIC_DIFFUSE));
+    let even = Vec3::from(light.even(ISOTROPIC_DIFFUSE, shares));
     let half = normalize_or(to_light - direction, to_light);
-    let lit = light.lit(color, n.normal.dot(to_light), n.normal.dot(half));
+    let lit = light.lit(color, n.normal.dot(to_light), n.normal.dot(half), shares);
     (color * even + (lit - color * even) * n.confidence).clamp(Vec3::ZERO, Vec3::ONE)
 }

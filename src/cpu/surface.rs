@@ -26,6 +26,8 @@
 //!
 //! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` compute the same.
 
+use super::light::{SOLID_DEPTH, light_shares};
+use super::shading::Normal;
 use crate::deform::{Jet, NearestCut};
 use crate::math::Bounds;
 use crate::math::light::BlinnPhong;
@@ -34,6 +36,7 @@ use crate::mesh::MeshHit;
 use crate::prepare::Prepared;
 use crate::prepare::objects::{Stage, SurfaceObject, Triangles};
 use crate::scene::surface::{CutModel, Steps};
+use crate::volume::VolumeSampler;
 use glam::{Mat3, Vec3};
 
 /// Bisections of a step.
@@ -197,13 +200,13 @@ fn object_hit(
             let hit = triangles
                 .tree
                 .ray(origin, direction, 0.0, f32::INFINITY, |_| true)?;
-            Some(shade_triangle(scene, object, triangles, &hit, direction))
+            Some(shade_triangle(scene, object, triangles, &hit, [origin, direction]))
         }
         (Stage::Both(seam), Some(triangles)) => {
             let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| {
                 is_undeformed(scene, object, origin + direction * h.t, seam)
             });
-            let drawn = hit.map(|h| shade_triangle(scene, object, triangles, &h, direction));
+            let drawn = hit.map(|h| shade_triangle(scene, object, triangles, &h, [origin, direction]));
             blend_seam(scene, object, drawn, by_field(), origin, direction, seam)
         }
     }
@@ -575,7 +578,7 @@ fn shade_field(
     });
     SurfaceHit {
         t,
-        color: light(scene, object, normal, direction, color),
+        color: light(scene, object, normal, origin + direction * t, direction, color),
     }
 }
 
@@ -591,7 +594,7 @@ fn shade_triangle(
     object: &SurfaceObject,
     triangles: &Triangles,
     hit: &MeshHit,
-    direction: Vec3,
+    [origin, direction]: [Vec3; 2],
 ) -> SurfaceHit {
     let normal = triangle_normal(triangles, hit);
     let color = Vec3::from(if hit.front {
@@ -599,21 +602,24 @@ fn shade_triangle(
     } else {
         object.look.inside
     });
+    let toward_eye = if hit.front { normal } else { -normal };
+    let at = origin + direction * hit.t;
     SurfaceHit {
         t: hit.t,
-        color: light(
-            scene,
-            object,
-            if hit.front { normal } else { -normal },
-            direction,
-            color,
-        ),
+        color: light(scene, object, toward_eye, at, direction, color),
     }
 }
 
 /// Blinn-Phong under the scene's light with the object's highlight. A normal that points slightly
 /// away from the eye (an interpolated one at a silhouette) is bent back to the silhouette.
-fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3, color: Vec3) -> Vec3 {
+fn light(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    normal: Vec3,
+    at: Vec3,
+    direction: Vec3,
+    color: Vec3,
+) -> Vec3 {
     let away = normal.dot(direction).max(0.0);
     let normal = normalize_or(normal - direction * away, -direction);
     let to_light = scene.frame.to_light;
@@ -624,6 +630,17 @@ fn light(scene: &Prepared, object: &SurfaceObject, normal: Vec3, direction: Vec3
         shininess,
         ..scene.light.blinn_phong()
     };
-    let lit = light.lit(color, normal.dot(to_light), normal.dot(half));
+    let shares = light_shares(
+        scene,
+        &VolumeSampler::new(scene.volume().grid),
+        Normal {
+            normal,
+            confidence: 1.0,
+        },
+        SOLID_DEPTH,
+        at,
+        direction,
+    );
+    let lit = light.lit(color, normal.dot(to_light), normal.dot(half), shares);
     lit.clamp(Vec3::ZERO, Vec3::ONE)
 }

@@ -49,6 +49,6 @@ pub use formula::{Formula, FormulaKind, MAX_FORMULA_NUMBERS};
 pub use library::Library;
 pub use map::{DisplacementMap, TexelRange};
 pub use placement::Placement;
-pub use stack::{Jet, MAX_MAPS, NearestCut, PlacedMap, PrecomposedMap, Stack};
+pub use stack::{Jet, MAX_MAPS, NearestCut, PlacedMap, PrecomposedMap, Stack, TexelLine};
 pub use texel::{Storage, TexelSample};
 pub use whole::StackAndCuts;

@@ -15,6 +15,8 @@
 
 mod lanes;
 
+pub use lanes::TexelLine;
+
 use super::mapping::Cylinder;
 use super::texel::{MIN_MARKED_ALPHA, MIN_MARKED_SLOPE};
 use super::{DisplacementMap, MapFilter, Placement, TexelSample};

@@ -21,10 +21,30 @@ pub struct BlinnPhong {
     pub highlight_color: [f32; 3],
 }
 
+/// The shares of the lights that reach a point, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightShares<N> {
+    /// Of the directional light.
+    pub key: N,
+    /// Of the sky.
+    pub sky: N,
+}
+
+impl LightShares<f32> {
+    /// All light, where nothing casts shadows.
+    pub const ALL: Self = Self { key: 1.0, sky: 1.0 };
+}
+
 /// The number types of the lighting code: one number, or eight.
 pub trait LightNumber: Copy {
     /// `self · factor + summand` where `self` is positive, else `summand`.
-    fn positive_times_plus(self, factor: f32, summand: f32) -> Self;
+    fn positive_times_plus(self, factor: f32, summand: Self) -> Self;
+
+    /// Products.
+    fn times(self, factor: Self) -> Self;
+
+    /// Products.
+    fn scaled(self, factor: f32) -> Self;
 
     /// `strength · cosine ^ exponent` where the surface faces the light (`facing` is positive) and
     /// the cosine is positive, else 0.
@@ -33,8 +53,18 @@ pub trait LightNumber: Copy {
 
 impl LightNumber for f32 {
     #[inline(always)]
-    fn positive_times_plus(self, factor: f32, summand: f32) -> Self {
+    fn positive_times_plus(self, factor: f32, summand: Self) -> Self {
         summand + factor * self.max(0.0)
+    }
+
+    #[inline(always)]
+    fn times(self, factor: Self) -> Self {
+        self * factor
+    }
+
+    #[inline(always)]
+    fn scaled(self, factor: f32) -> Self {
+        self * factor
     }
 
     #[inline(always)]
@@ -49,8 +79,18 @@ impl LightNumber for f32 {
 
 impl<S: Simd> LightNumber for f32x8<S> {
     #[inline(always)]
-    fn positive_times_plus(self, factor: f32, summand: f32) -> Self {
+    fn positive_times_plus(self, factor: f32, summand: Self) -> Self {
         self.max(0.0).mul_add(factor, summand)
+    }
+
+    #[inline(always)]
+    fn times(self, factor: Self) -> Self {
+        self * factor
+    }
+
+    #[inline(always)]
+    fn scaled(self, factor: f32) -> Self {
+        self * factor
     }
 
     #[inline(always)]
@@ -82,27 +122,34 @@ impl BlinnPhong {
     /// added to it. `facing` is the cosine between the normal and the light, `cosine` that between
     /// the normal and the half vector.
     #[inline(always)]
-    pub fn shine<N: LightNumber>(&self, facing: N, cosine: N) -> ([N; 3], N) {
+    pub fn shine<N: LightNumber>(&self, facing: N, cosine: N, shares: LightShares<N>) -> ([N; 3], N) {
         let [r, g, b] = self.ambient;
+        let lit = facing.times(shares.key);
         (
             [
-                facing.positive_times_plus(self.diffuse[0], r),
-                facing.positive_times_plus(self.diffuse[1], g),
-                facing.positive_times_plus(self.diffuse[2], b),
+                lit.positive_times_plus(self.diffuse[0], shares.sky.scaled(r)),
+                lit.positive_times_plus(self.diffuse[1], shares.sky.scaled(g)),
+                lit.positive_times_plus(self.diffuse[2], shares.sky.scaled(b)),
             ],
-            N::highlight(facing, cosine, self.specular, self.shininess),
+            N::highlight(facing, cosine, self.specular, self.shininess).times(shares.key),
         )
     }
 
     /// The colour of a surface under the light, not clamped; the cosines as for [`Self::shine`].
-    pub fn lit(&self, color: Vec3, facing: f32, cosine: f32) -> Vec3 {
-        let (factors, highlight) = self.shine(facing, cosine);
+    pub fn lit(&self, color: Vec3, facing: f32, cosine: f32, shares: LightShares<f32>) -> Vec3 {
+        let (factors, highlight) = self.shine(facing, cosine, shares);
         color * Vec3::from(factors) + Vec3::from(self.highlight_color) * highlight
     }
 
-    /// Factors on a colour with a share of the directional light, independent of a normal.
+    /// Factors on a colour with a part of the directional light, independent of a normal.
     #[inline(always)]
-    pub fn even(&self, share: f32) -> [f32; 3] {
-        std::array::from_fn(|c| self.ambient[c] + share * self.diffuse[c])
+    pub fn even<N: LightNumber>(&self, part: f32, shares: LightShares<N>) -> [N; 3] {
+        let [r, g, b] = self.ambient;
+        let [x, y, z] = self.diffuse;
+        [
+            shares.key.positive_times_plus(part * x, shares.sky.scaled(r)),
+            shares.key.positive_times_plus(part * y, shares.sky.scaled(g)),
+            shares.key.positive_times_plus(part * z, shares.sky.scaled(b)),
+        ]
     }
 }

@@ -1,6 +1,7 @@
 //! The files of a scene, loaded once and shared by any number of pictures.
 
 use super::inside::InsideCache;
+use super::light_volume::LightVolumeCache;
 use super::object_cache::ObjectCache;
 use super::sampled::SampledVolume;
 use crate::deform::Library;
@@ -74,6 +75,7 @@ pub struct Assets {
     pub(super) objects: ObjectCache,
     /// Maps and proxies derived from the mesh that encloses the volume.
     pub(super) inside_meshes: InsideCache,
+    pub(super) light_volumes: LightVolumeCache,
     /// Whether the scene has a volume; without one, `volume` is empty.
     pub has_volume: bool,
     /// The box around all meshes, mm; empty without any.
@@ -208,6 +210,7 @@ impl Assets {
             library,
             objects: ObjectCache::default(),
             inside_meshes: InsideCache::default(),
+            light_volumes: LightVolumeCache::default(),
             has_volume,
             mesh_box: Bounds::EMPTY,
             stages: StageTimes::default(),

@@ -1,5 +1,6 @@
 //! A scene resolved for rendering: the input of every backend.
 
+use super::light_volume::LightVolume;
 use super::objects::Surfaces;
 use super::spacing::{SampleSpacing, cut_margin_mm};
 use super::stack::Composition;
@@ -52,6 +53,8 @@ pub struct Prepared<'a> {
     pub frame: Frame,
     /// Light.
     pub light: Light,
+    /// How much of it reaches each point; none if nothing casts shadows.
+    pub light_volume: Option<Arc<LightVolume>>,
     /// The scene's render settings.
     pub settings: RenderSettings,
     /// The factor on the opacities, if the scene sets one.

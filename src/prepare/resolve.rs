@@ -150,6 +150,7 @@ impl<'a> Prepared<'a> {
             composition,
             frame,
             light,
+            light_volume: None,
             settings,
             density: scene.transfer.density,
             notices: composition
@@ -160,6 +161,9 @@ impl<'a> Prepared<'a> {
             tears,
             stages,
         };
+        let mut stages = std::mem::take(&mut prepared.stages);
+        prepared.light_volume = assets.light_volumes.of(&prepared, options.is_draft, &mut stages);
+        prepared.stages = stages;
         let idle = ineffective_settings(&prepared, scene);
         prepared.notices.extend(idle.iter().map(IdleSetting::notice));
         Ok(prepared)

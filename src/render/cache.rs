@@ -11,9 +11,10 @@ use super::uniforms::{CutShapeUniform, FrameUniform, PlacedMapUniform};
 use super::volume::VolumeCache;
 use super::work::ResourceKind;
 use crate::deform::cut::MAX_CUTS;
-use crate::prepare::Prepared;
+use crate::prepare::{LightVolume, Prepared};
 use crate::transfer::{GRADIENT_ENTRIES, PREINTEGRATED_SIZE, Preintegrated, TABLE_ENTRIES, TransferTable};
 use crate::{Error, Result};
+use std::sync::Arc;
 use wgpu::{BufferUsages, TextureFormat, TextureUsages};
 
 /// The inputs of the shaders' shared functions, with the content last written.
@@ -25,6 +26,7 @@ pub(super) struct SceneCache {
     /// Made for one transfer function and step.
     preintegrated: Option<(RenderTexture, Vec<[f32; 4]>, f32)>,
     nothing_preintegrated: Option<RenderTexture>,
+    light_volume: Option<(RenderTexture, Arc<LightVolume>)>,
     pub volume: VolumeCache,
     pub maps: MapCache,
     pub surfaces: SurfaceCache,
@@ -39,6 +41,8 @@ pub(super) struct SceneBindings {
     table: wgpu::TextureView,
     cells: wgpu::TextureView,
     preintegrated: wgpu::TextureView,
+    /// Anything if the scene has no light volume.
+    light_volume: wgpu::TextureView,
     /// The half- and single-precision atlases.
     maps: [wgpu::TextureView; 2],
     nothing: Layer,
@@ -115,12 +119,17 @@ impl SceneCache {
             self.cells(context, scene)?,
             self.preintegrated(context, scene),
         );
+        let light_volume = match &scene.light_volume {
+            Some(volume) => Some(self.light_volume(context, volume)?),
+            None => None,
+        };
         Ok(SceneBindings {
             uniforms,
             frame,
             table,
             cells,
             preintegrated,
+            light_volume: light_volume.unwrap_or_else(|| maps[0].clone()),
             maps,
             positions: nothing.distance_view.clone(),
             nothing,
@@ -151,6 +160,28 @@ impl SceneCache {
         context.write_layers(&target.texture, 0, blocks, size);
         let view = target.view.clone();
         self.cells = Some((target, blocks.to_vec()));
+        Ok(view)
+    }
+
+    /// The light volume's texture: S and `V_raw`.
+    fn light_volume(&mut self, context: &Context, volume: &Arc<LightVolume>) -> Result<wgpu::TextureView> {
+        let target = match self.light_volume.take() {
+            Some((target, written)) if Arc::ptr_eq(&written, volume) => {
+                let view = target.view.clone();
+                self.light_volume = Some((target, written));
+                return Ok(view);
+            }
+            Some((target, written)) if written.size == volume.size => target,
+            _ => {
+                context.forget_groups();
+                RenderTexture::new(context.texture_3d("light volume", volume.size, TextureFormat::Rg16Float)?)
+            }
+        };
+        let halves: Vec<u16> = volume.nodes().flatten().map(|v| half::f16::from_f32(v).to_bits()).collect();
+        context.tally.count(ResourceKind::LightVolume);
+        context.write_layers(&target.texture, 0, bytemuck::cast_slice(&halves), volume.size);
+        let view = target.view.clone();
+        self.light_volume = Some((target, volume.clone()));
         Ok(view)
     }
 
@@ -289,6 +320,7 @@ impl SceneCache {
             (18, shared.preintegrated.clone()),
             (19, gradients.clone()),
             (20, shared.positions.clone()),
+            (21, shared.light_volume.clone()),
         ]);
         views.extend(
             shared

@@ -435,7 +435,7 @@ fn shared_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     entries.push(entry(14, UNIFORM));
     entries.push(entry(17, texture(filtered, wgpu::TextureViewDimension::D3)));
     entries.push(entry(18, texture(filtered, wgpu::TextureViewDimension::D2)));
-    entries.push(entry(19, texture(filtered, wgpu::TextureViewDimension::D3)));
+    entries.extend([19, 21].map(|n| entry(n, texture(filtered, wgpu::TextureViewDimension::D3))));
     let unfiltered = wgpu::TextureSampleType::Float { filterable: false };
     entries.extend([15, 16, 20].map(|n| entry(n, texture(unfiltered, wgpu::TextureViewDimension::D2))));
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {

@@ -56,6 +56,7 @@ impl Context {
                 None
             },
             preintegrated: scene.preintegrated() && march,
+            light_volume: scene.light_volume.is_some(),
             behind: (march
                 || matches!(
                     program,

@@ -71,6 +71,10 @@ pub struct FrameUniform {
     pub key_padding: f32,
     pub sky_color: [f32; 3],
     pub sky_padding: f32,
+    pub light_origin: [f32; 3],
+    pub light_offset_mm: f32,
+    pub light_per_size: [f32; 3],
+    pub light_padding: f32,
 }
 
 /// `CutShape` of the shaders.
@@ -141,6 +145,8 @@ impl FrameUniform {
         let frame = &scene.frame;
         let light = &scene.light;
         let cells = &scene.volume().macrocells;
+        let light_volume = scene.light_volume.as_ref();
+        let lit_box = light_volume.map(|v| v.texture_box());
         Self {
             clip_from_world: frame.view.clip_from_world().to_cols_array(),
             voxel_from_world: affine(&scene.volume().voxel_from_world),
@@ -197,6 +203,10 @@ impl FrameUniform {
             key_padding: 0.0,
             sky_color: light.sky_color,
             sky_padding: 0.0,
+            light_origin: lit_box.map_or([0.0; 3], |b| b.min.into()),
+            light_offset_mm: light_volume.map_or(0.0, |v| v.offset_mm()),
+            light_per_size: lit_box.map_or([1.0; 3], |b| b.size().recip().into()),
+            light_padding: 0.0,
         }
     }
 

@@ -25,6 +25,8 @@ pub(super) struct Variant {
     pub(super) grey_faces: bool,
     pub(super) iso: Option<IsoLight>,
     pub(super) behind: bool,
+    /// Whether shares of the light are read from the light volume.
+    pub(super) light_volume: bool,
     /// Samples are listed by position, instead of one per pixel.
     pub(super) listed: bool,
     /// Pixels that are not sampled again are masked.
@@ -37,7 +39,7 @@ pub(super) struct Variant {
 }
 
 /// Values of the shaders' `override` constants.
-pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 16] {
+pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 17] {
     [
         ("MAPS", variant.maps as f64),
         ("PRECOMPOSED", f64::from(u8::from(variant.precomposed))),
@@ -52,6 +54,7 @@ pub(super) fn overrides(variant: &Variant) -> [(&'static str, f64); 16] {
         ("ISO", f64::from(constants::iso(variant.iso))),
         ("COLORS", f64::from(variant.colors as u32)),
         ("BEHIND", f64::from(u8::from(variant.behind))),
+        ("LIGHT_VOLUME", f64::from(u8::from(variant.light_volume))),
         ("LISTED", f64::from(u8::from(variant.listed))),
         ("EXACT", f64::from(u8::from(variant.exact))),
         ("EXACT_MAPS", f64::from(u8::from(variant.exact_maps))),

@@ -24,6 +24,8 @@ pub struct Work {
     pub cell_uploads: u32,
     /// Fields of surfaces written to a texture.
     pub field_uploads: u32,
+    /// Light volumes written to their texture.
+    pub light_uploads: u32,
 }
 
 impl Work {
@@ -39,6 +41,7 @@ impl Work {
             table_uploads: self.table_uploads.wrapping_sub(before.table_uploads),
             cell_uploads: self.cell_uploads.wrapping_sub(before.cell_uploads),
             field_uploads: self.field_uploads.wrapping_sub(before.field_uploads),
+            light_uploads: self.light_uploads.wrapping_sub(before.light_uploads),
         }
     }
 }
@@ -55,12 +58,13 @@ pub(super) enum ResourceKind {
     TransferTable,
     Cells,
     Field,
+    LightVolume,
 }
 
 /// The counters. Atomic because a device also evaluates stacks through a shared reference to the
 /// renderer.
 #[derive(Default)]
-pub(super) struct WorkCounters([AtomicU32; 9]);
+pub(super) struct WorkCounters([AtomicU32; 10]);
 
 impl WorkCounters {
     pub(super) fn count(&self, made: ResourceKind) {
@@ -79,6 +83,7 @@ impl WorkCounters {
             table_uploads: n(ResourceKind::TransferTable),
             cell_uploads: n(ResourceKind::Cells),
             field_uploads: n(ResourceKind::Field),
+            light_uploads: n(ResourceKind::LightVolume),
         }
     }
 }

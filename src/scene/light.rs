@@ -33,6 +33,18 @@ pub struct Light {
     pub key_color: [f32; 3],
     /// Colour of the sky, 0..1.
     pub sky_color: [f32; 3],
+    /// Angular radius of the key light, degrees: 0 casts sharp shadows, 5 to 10 those of a soft box.
+    pub radius: f32,
+    /// Whether the key light casts shadows.
+    pub shadow: bool,
+    /// Whether the light of the sky is dimmed in hollows.
+    pub occlusion: bool,
+    /// How far away matter dims the light of the sky, mm; 15 % of the longest edge of what is
+    /// visible if not stated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub occlusion_mm: Option<f32>,
+    /// How exactly shadows and occlusion are computed.
+    pub quality: LightQuality,
     /// Whether the key light moves with the camera: a headlight.
     pub follows_camera: bool,
     /// Two-sided lighting, as scalar volumes need (their gradients have no outside).
@@ -51,10 +63,26 @@ impl Default for Light {
             elevation: None,
             key_color: [1.0; 3],
             sky_color: [1.0; 3],
+            radius: 0.0,
+            shadow: false,
+            occlusion: false,
+            occlusion_mm: None,
+            quality: LightQuality::Fast,
             follows_camera: true,
             two_sided: true,
         }
     }
+}
+
+/// How exactly shadows and occlusion are computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum LightQuality {
+    /// From a light volume.
+    #[default]
+    Fast,
+    /// By 256 rays for each sample, on the CPU.
+    Reference,
 }
 
 /// A named light.
@@ -71,6 +99,11 @@ pub struct LightPreset {
     key_color: [f32; 3],
     sky_color: [f32; 3],
 }
+
+/// The largest angular radius of a key light, degrees.
+const MAX_RADIUS: f32 = 45.0;
+/// The farthest reach of occlusion, mm.
+const MAX_OCCLUSION_MM: f32 = 1e6;
 
 const WHITE: [f32; 3] = [1.0; 3];
 
@@ -158,11 +191,29 @@ impl Light {
                 let read = value.trim().parse::<f32>().ok().filter(|v| v.is_finite());
                 read.ok_or_else(|| Error::value("--light", format!("{key}={value} is not a number")))
             };
+            let switch = || match value.trim() {
+                "on" => Ok(true),
+                "off" => Ok(false),
+                _ => Err(Error::value("--light", format!("{key}={value} is not known; use on or off"))),
+            };
             match key.trim() {
                 "azimuth" => self.turn_to(number()?, self.angles()[1]),
                 "elevation" => self.turn_to(self.angles()[0], number()?),
+                "radius" => self.radius = number()?,
                 "key" => self.diffuse = number()?,
                 "sky" => self.ambient = number()?,
+                "shadow" => self.shadow = switch()?,
+                "occlusion" => self.occlusion = switch()?,
+                "quality" => {
+                    self.quality = match value.trim() {
+                        "fast" => LightQuality::Fast,
+                        "reference" => LightQuality::Reference,
+                        _ => {
+                            let problem = format!("{key}={value} is not known; use fast or reference");
+                            return Err(Error::value("--light", problem));
+                        }
+                    }
+                }
                 _ => return Err(unknown(part)),
             }
         }
@@ -239,6 +290,18 @@ impl Light {
                 format!("{} is outside 1 to 10000", self.shininess),
             ));
         }
+        if !(0.0..=MAX_RADIUS).contains(&self.radius) {
+            return Err(Error::value(
+                "light.radius",
+                format!("{} is outside 0 to {MAX_RADIUS} degrees", self.radius),
+            ));
+        }
+        if self.occlusion_mm.is_some_and(|mm| !(mm > 0.0 && mm <= MAX_OCCLUSION_MM)) {
+            return Err(Error::value(
+                "light.occlusion_mm",
+                format!("must be above 0 and at most {MAX_OCCLUSION_MM} mm"),
+            ));
+        }
         let direction = DVec3::from(self.direction.map(f64::from));
         if !(direction.is_finite() && direction.length() > 1e-6) {
             return Err(Error::value(
@@ -273,7 +336,7 @@ fn unknown(part: &str) -> Error {
     Error::value(
         "--light",
         format!(
-            "\"{part}\" is not known; give one of {} first, and then azimuth=, elevation= (degrees), key= or sky= (0 to 1)",
+            "\"{part}\" is not known; give one of {} first, and then azimuth=, elevation=, radius= (degrees), key=, sky= (0 to 1), shadow=, occlusion= (on or off) or quality= (fast or reference)",
             LIGHT_PRESETS.map(|p| p.name).join(", ")
         ),
     )
@@ -327,7 +390,7 @@ mod tests {
         assert_eq!((light.diffuse, light.ambient), (0.5, 0.2));
         assert_eq!(light.angles(), [-66.0, 30.0]);
         light.check().unwrap();
-        for wrong in ["", "disco", "key=bright", "key=0.5,raking", "radius"] {
+        for wrong in ["", "disco", "key=bright", "key=0.5,raking", "radius", "shadow=yes", "quality=best"] {
             let error = Light::default().apply(wrong).unwrap_err().to_string();
             assert!(error.contains("--light"), "{wrong}: {error}");
         }

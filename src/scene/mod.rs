@@ -22,7 +22,7 @@ pub mod surface;
 
 pub use antialias::Antialias;
 pub use camera::{Camera, Projection, View, ViewFrame};
-pub use light::{LIGHT_PRESETS, Light, LightPreset};
+pub use light::{LIGHT_PRESETS, Light, LightPreset, LightQuality};
 pub use placement::{DefaultPlacement, VisibleObject};
 
 use crate::deform::{Arguments, Storage};

@@ -2,6 +2,7 @@
 
 use crate::gui::panels::heading;
 use crate::gui::panels::rows::slider;
+use crate::math::light::LightShares;
 use crate::scene::{LIGHT_PRESETS, Light};
 use eframe::egui::{self, Color32, Pos2, Rect, Sense, Stroke, Ui, Vec2, vec2};
 
@@ -136,7 +137,7 @@ fn show_ball(ui: &mut Ui, light: &mut Light) {
             let normal = glam::Vec3::new(sin * x, sin * y, cos);
             let lit = light
                 .blinn_phong()
-                .lit(glam::Vec3::splat(0.85), normal.dot(toward), 0.0)
+                .lit(glam::Vec3::splat(0.85), normal.dot(toward), 0.0, LightShares::ALL)
                 .clamp(glam::Vec3::ZERO, glam::Vec3::ONE);
             let [r, g, b] = (lit * 255.0).to_array().map(|v| v as u8);
             let at = rect.center() + radius * vec2(normal.x, -normal.y);
