@@ -18,7 +18,8 @@ fn solid(size: [usize; 3], turn: DQuat, inside: impl Fn(Vec3) -> bool) -> Assets
         for j in 0..size[1] {
             for i in 0..size[0] {
                 let p = Vec3::new(i as f32, j as f32, k as f32) - middle;
-                let corner = |n: usize| Vec3::from([n & 1, n >> 1 & 1, n >> 2].map(|b| b as f32 / 2.0 - 0.25));
+                let corner =
+                    |n: usize| Vec3::from([n & 1, n >> 1 & 1, n >> 2].map(|b| b as f32 / 2.0 - 0.25));
                 let count = (0..8).filter(|&n| inside(p + corner(n))).count();
                 values.push(count as f32 / 8.0);
             }
@@ -60,7 +61,10 @@ fn from(direction: Vec3, radius: f32) -> Light {
 }
 
 fn light_volume<'a>(prepared: &'a Prepared) -> &'a LightVolume {
-    prepared.light_volume.as_ref().expect("the scene is lit with shadows")
+    prepared
+        .light_volume
+        .as_ref()
+        .expect("the scene is lit with shadows")
 }
 
 /// V_raw in front of a surface.
@@ -68,60 +72,100 @@ fn open_in_front(volume: &LightVolume, at: Vec3, normal: Vec3) -> f32 {
     volume.sample(at + normal * volume.offset_mm())[1]
 }
 
+/// The share of evenly spread directions in which nothing is hit within a reach.
+fn open_share(from: Vec3, reach: f32, inside: &dyn Fn(Vec3) -> bool) -> f32 {
+    let count = 4000;
+    let direction = |n: usize| {
+        let height = 1.0 - (2 * n + 1) as f32 / count as f32;
+        let (sin, cos) = (n as f32 * 2.399_963_2).sin_cos();
+        let radius = (1.0 - height * height).sqrt();
+        Vec3::new(radius * cos, radius * sin, height)
+    };
+    let steps = (4.0 * reach) as usize;
+    let is_open = |d: Vec3| (0..steps).all(|m| !inside(from + d * ((m as f32 + 0.5) * 0.25)));
+    (0..count).filter(|n| is_open(direction(*n))).count() as f32 / count as f32
+}
+
 /// In a right-angled corner a quarter of all directions is open, at the floor of an infinite slot
 /// those within its open angle, and at the bottom of a hemispherical bowl those through its rim.
+/// A distant block makes the scene as large against them as scenes are; within a finite reach the
+/// shares are slightly larger.
 pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
-    for turn in [DQuat::IDENTITY, DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 0.3)] {
+    let far = |p: Vec3| p.x > 60.0 && p.y > 60.0 && p.z < -60.0;
+    let reach = 40.0;
+    for turn in [
+        DQuat::IDENTITY,
+        DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 0.3),
+    ] {
         let place = |p: Vec3| (turn * p.as_dvec3()).as_vec3();
-        let check = |what: &str, assets: &Assets, points: &[(Vec3, Vec3)], want: &dyn Fn(Vec3) -> f32| {
+        let check = |what: &str,
+                     inside: &dyn Fn(Vec3) -> bool,
+                     points: &[(Vec3, Vec3)],
+                     closed: &dyn Fn(Vec3) -> f32| {
+            let assets = solid([128; 3], turn, |p| inside(p) || far(p));
             let mut s = scene(1.0);
-            s.light.occlusion_mm = Some(1000.0);
-            let prepared = Prepared::new(&s, assets).unwrap();
+            s.light.occlusion_mm = Some(reach);
+            let prepared = Prepared::new(&s, &assets).unwrap();
             let volume = light_volume(&prepared);
             for &(at, normal) in points {
-                let want = want(at + normal * volume.offset_mm());
+                let in_front = at + normal * volume.offset_mm();
+                let (closed, exact) = (closed(in_front), open_share(in_front, reach, inside));
                 let got = open_in_front(volume, place(at), place(normal));
-                println!("{what} at {at}: V_raw {got:.4}, by the closed form {want:.4}");
-                assert!((got / want - 1.0).abs() <= 0.05, "{what} at {at}: {got}, not {want}");
+                println!(
+                    "{what} at {at}: V_raw {got:.4}, by the closed form {closed:.4}, by directions {exact:.4}"
+                );
+                assert!(
+                    (exact / closed - 1.0).abs() <= 0.02,
+                    "{what} at {at}: {exact}, not {closed}"
+                );
+                assert!(
+                    (got / exact - 1.0).abs() <= 0.05,
+                    "{what} at {at}: {got}, not {exact}"
+                );
             }
         };
-        let corner = solid([120; 3], turn, |p| p.x < -40.0 || p.z < -40.0);
+        let block = |p: Vec3| p.abs().max_element() < 45.0;
         check(
             "a corner",
-            &corner,
+            &|p| (p.x < 0.0 || p.z < 0.0) && block(p),
             &[
-                (Vec3::new(-34.0, 0.0, -40.0), Vec3::Z),
-                (Vec3::new(-28.0, 5.0, -40.0), Vec3::Z),
-                (Vec3::new(-40.0, -5.0, -30.0), Vec3::X),
+                (Vec3::new(1.0, 0.0, 0.0), Vec3::Z),
+                (Vec3::new(4.0, 2.0, 0.0), Vec3::Z),
+                (Vec3::new(0.0, -5.0, 1.5), Vec3::X),
             ],
-            &|_| 0.25,
+            // Within a reach R, a plane at the distance d hides (1 - d / R) / 2.
+            &|at| (1.0 + at.x / reach) * (1.0 + at.z / reach) / 4.0,
         );
-        // The floor lies at z = -20, the top of the block at 20.
-        let slot = solid([80, 240, 60], turn, |p| p.z < 20.0 && (p.z < -20.0 || p.x.abs() > 20.0));
+        // The slot is 8 mm wide and 8 mm deep.
         check(
             "a slot",
-            &slot,
-            &[(Vec3::new(0.0, 0.0, -20.0), Vec3::Z)],
-            &|at| ((20.0f32).atan2(20.0 - at.z) * 2.0) / std::f32::consts::TAU,
+            &|p| (p.z < 0.0 || p.z < 8.0 && p.x.abs() > 4.0) && block(p),
+            &[(Vec3::new(0.0, 0.0, 0.0), Vec3::Z)],
+            &|at| (4.0f32).atan2(8.0 - at.z) / std::f32::consts::PI,
         );
-        let bowl = solid([110, 110, 60], turn, |p| p.z < 20.0 && (p - Vec3::new(0.0, 0.0, 20.0)).length() > 40.0);
         check(
             "a bowl",
-            &bowl,
-            &[(Vec3::new(0.0, 0.0, -20.0), Vec3::Z)],
-            &|at| {
-                let rim = (40.0f32).atan2(20.0 - at.z);
-                (1.0 - rim.cos()) / 2.0
-            },
+            &|p| p.z < 0.0 && p.length() > 12.0 && block(p),
+            &[(Vec3::new(0.0, 0.0, -12.0), Vec3::Z)],
+            &|at| (1.0 - (12.0f32).atan2(0.0 - at.z).cos()) / 2.0,
         );
     }
 }
 
 /// Flat open faces and the top of a ball are as bright with occlusion as without.
 pub fn open_faces_stay_bright() {
-    for turn in [DQuat::IDENTITY, DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 0.3)] {
+    for turn in [
+        DQuat::IDENTITY,
+        DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 0.3),
+    ] {
         let fixtures: [(&str, Assets, f32); 2] = [
-            ("a plate", solid([120, 120, 40], turn, |p| p.abs().max_element() < 50.0 && p.z.abs() < 8.0), 40.0),
+            (
+                "a plate",
+                solid([120, 120, 40], turn, |p| {
+                    p.abs().max_element() < 50.0 && p.z.abs() < 8.0
+                }),
+                40.0,
+            ),
             ("a ball", solid([120; 3], turn, |p| p.length() < 50.0), 25.0),
         ];
         for (what, assets, radius) in fixtures {
@@ -137,7 +181,8 @@ pub fn open_faces_stay_bright() {
                 let u = (n % 200) as f32 / 100.0 + 1.0 / 200.0 - 1.0;
                 let v = 1.0 - (n / 200) as f32 / 100.0 - 1.0 / 200.0;
                 let (origin, direction) = with.frame.view.ray(u, v);
-                let [origin, direction] = [origin, direction].map(|v| (turn.inverse() * v.as_dvec3()).as_vec3());
+                let [origin, direction] =
+                    [origin, direction].map(|v| (turn.inverse() * v.as_dvec3()).as_vec3());
                 // Where the ray meets the plane of the face, or that through the ball's middle.
                 let height = if what == "a plate" { 8.0 } else { 0.0 };
                 let at = origin + direction * ((height - origin.z) / direction.z);
@@ -149,8 +194,15 @@ pub fn open_faces_stay_bright() {
                 }
             }
             let worst = f64::from(worst);
-            println!("{what}: darker by at most {:.2}/255 at {seen} pixels", worst / STEP);
-            assert!(seen > 500 && worst <= 2.0 * STEP, "{what}: {} at {seen}", worst / STEP);
+            println!(
+                "{what}: darker by at most {:.2}/255 at {seen} pixels",
+                worst / STEP
+            );
+            assert!(
+                seen > 500 && worst <= 2.0 * STEP,
+                "{what}: {} at {seen}",
+                worst / STEP
+            );
         }
     }
 }
@@ -173,10 +225,10 @@ fn shadow_of_a_plate(light: Vec3, radius: f32, opacity: f32) -> (Vec<(f32, f32)>
     (shares.collect(), volume.cell_mm)
 }
 
-/// Where shares that rise along a line reach a share.
+/// Where shares that rise towards the end of a line reach a share.
 fn crossing(line: &[(f32, f32)], share: f32) -> f32 {
-    let after = line.iter().position(|(_, s)| *s >= share).expect("a bright end");
-    let ((a, low), (b, high)) = (line[after - 1], line[after]);
+    let before = line.iter().rposition(|(_, s)| *s < share).expect("a shadow");
+    let ((a, low), (b, high)) = (line[before], line[before + 1]);
     a + (b - a) * (share - low) / (high - low)
 }
 
@@ -186,12 +238,14 @@ pub fn shadow_of_a_plate_on_a_floor() {
     for light in [Vec3::Z, Vec3::new(0.3, 0.2, 1.0), Vec3::new(-0.5, 0.1, 1.0)] {
         let (line, cell_mm) = shadow_of_a_plate(light, 0.0, 1.0);
         let offset = 1.5 * cell_mm;
-        // The light comes from the side of the edge, or from that of the plate, whose lower or
-        // upper edge bounds it.
-        let height = if light.x > 0.0 { 38.0 } else { 30.0 } + 40.0 - offset;
+        // Light from the side of the edge is bounded by the plate's lower edge, light from the other
+        // side by its upper edge.
+        let height = if light.x > 0.0 { 30.0 } else { 38.0 } + 40.0 - offset;
         let want = -light.x / light.z * height;
         let got = crossing(&line, 0.5);
-        println!("light from {light}: edge at {got:.2} mm, by the closed form {want:.2}, cells of {cell_mm:.2}");
+        println!(
+            "light from {light}: edge at {got:.2} mm, by the closed form {want:.2}, cells of {cell_mm:.2}"
+        );
         assert!((got - want).abs() <= cell_mm, "{light}: {got}, not {want}");
     }
     for radius in [4.0f32, 8.0] {
@@ -200,7 +254,10 @@ pub fn shadow_of_a_plate_on_a_floor() {
         let width = crossing(&line, 0.9) - crossing(&line, 0.1);
         let want = 2.0 * 0.687 * radius.to_radians().tan() * (70.0 - 1.5 * cell_mm);
         println!("lamp of {radius} degrees: penumbra {width:.2} mm, by the closed form {want:.2}");
-        assert!((width / want - 1.0).abs() <= 0.15, "{radius}: {width}, not {want}");
+        assert!(
+            (width / want - 1.0).abs() <= 0.15,
+            "{radius}: {width}, not {want}"
+        );
     }
 }
 
@@ -211,7 +268,7 @@ pub fn shadow_of_a_slab_is_its_transmittance() {
         let mut s = scene(0.03);
         s.light = from(light, 0.0);
         let prepared = Prepared::new(&s, &assets).unwrap();
-        let got = light_volume(&prepared).sample(Vec3::new(0.0, 0.0, -18.0))[0];
+        let got = light_volume(&prepared).sample(Vec3::new(0.0, 0.0, -13.0))[0];
         let way = 20.0 / light.normalize().z;
         let want = 0.97f32.powf(way);
         println!("light from {light}: {got:.4} of it passes, by the closed form {want:.4}");
@@ -219,21 +276,25 @@ pub fn shadow_of_a_slab_is_its_transmittance() {
     }
 }
 
-/// Whether light passes from a point: samples of the deformed scene, half a voxel apart.
-fn is_lit_by_a_ray(prepared: &Prepared, sampler: &VolumeSampler, from: Vec3) -> bool {
+/// Optical depth per voxel at a point of the deformed scene.
+fn depth_at(prepared: &Prepared, sampler: &VolumeSampler, p: Vec3) -> f32 {
     let volume = prepared.volume();
+    let (source, alpha) = prepared.stack.source_and_alpha(p);
+    let q = volume.voxel_from_world.transform_point3(source);
+    let inside = q.cmpge(Vec3::splat(-0.5)).all() && q.cmple(volume.grid_size - 0.5).all();
+    if alpha < 0.5 || !inside || prepared.cuts.signed_distance_mm(p) < 0.0 {
+        return 0.0;
+    }
+    volume.table.lookup(sampler.sample(q))[3]
+}
+
+/// Whether more than half of the light passes from a point, by samples half a voxel apart.
+fn is_lit_by_a_ray(prepared: &Prepared, sampler: &VolumeSampler, from: Vec3) -> bool {
+    let step = 0.5 * prepared.frame.spacing.reference_mm;
     let mut depth = 0.0;
     for n in 0..2000 {
-        let p = from + prepared.frame.to_light * (n as f32 + 0.5) * 0.5 * prepared.frame.spacing.reference_mm;
-        if prepared.cuts.signed_distance_mm(p) < 0.0 {
-            continue;
-        }
-        let (source, alpha) = prepared.stack.source_and_alpha(p);
-        let q = volume.voxel_from_world.transform_point3(source);
-        let top = volume.grid_size - 0.5;
-        if alpha >= 0.5 && q.cmpge(Vec3::splat(-0.5)).all() && q.cmple(top).all() {
-            depth += 0.5 * volume.table.lookup(sampler.sample(q))[3];
-        }
+        let p = from + prepared.frame.to_light * (n as f32 + 0.5) * step;
+        depth += 0.5 * depth_at(prepared, sampler, p);
         if depth > 1.0 {
             return false;
         }
@@ -241,9 +302,10 @@ fn is_lit_by_a_ray(prepared: &Prepared, sampler: &VolumeSampler, from: Vec3) -> 
     true
 }
 
-/// Under a twist and after a peel the shadow is where a ray to the light says.
+/// Under a twist and after a peel the shadow is where a ray to the light says; inside of what is dense
+/// no light is read.
 pub fn shadows_follow_the_deformation() {
-    for name in ["head-peel", "bunny-twist", "head-quadrant"] {
+    for name in ["head-peel", "head-quadrant", "storage-f16"] {
         let mut s = scenes::load(name);
         s.render.mode = Mode::Raycast;
         s.light = from(Vec3::new(0.4, -0.5, 0.8), 0.0);
@@ -252,31 +314,48 @@ pub fn shadows_follow_the_deformation() {
         let sampler = VolumeSampler::new(prepared.volume().grid);
         let volume = light_volume(&prepared);
         let bounds = prepared.frame.proxy;
+        // Additive recurrence with the powers of the plastic number (Roberts 2018).
+        let part = DVec3::new(
+            0.819_172_513_396_164_4,
+            0.671_043_606_703_789_2,
+            0.549_700_477_901_970_3,
+        );
+        let points = (0..).map(|n| bounds.min + (part * f64::from(n)).fract().as_vec3() * bounds.size());
         let count = 100_000;
-        let agree = (0..count)
-            .filter(|&n| {
-                // Additive recurrence with the powers of the plastic number (Roberts 2018).
-                let part = DVec3::new(0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_3);
-                let p = bounds.min + (part * f64::from(n)).fract().as_vec3() * bounds.size();
-                (volume.sample(p)[0] > 0.5) == is_lit_by_a_ray(&prepared, &sampler, p)
-            })
-            .count();
-        let percent = 100.0 * agree as f64 / f64::from(count);
-        println!("{name}: {percent:.2} % of {count} points agree");
-        assert!(percent >= 99.0, "{name}: {percent} %");
+        let (mut agree, mut dark) = (0, 0);
+        for p in points
+            .filter(|p| depth_at(&prepared, &sampler, *p) < 0.5)
+            .take(count)
+        {
+            let is_lit = is_lit_by_a_ray(&prepared, &sampler, p);
+            agree += usize::from((volume.sample(p)[0] > 0.5) == is_lit);
+            dark += usize::from(!is_lit);
+        }
+        let percent = 100.0 * agree as f64 / count as f64;
+        println!("{name}: {percent:.2} % of {count} points agree, {dark} of them dark");
+        assert!(
+            percent >= 99.0 && dark > count / 50,
+            "{name}: {percent} %, {dark}"
+        );
     }
 }
 
-/// The light volume against rays for each sample, of the first INCISE_LIGHT_SCENES (3) scenes.
+/// The light volume against rays for each sample, of the first INCISE_LIGHT_SCENES (2) scenes.
 pub fn light_volume_agrees_with_rays() {
-    let count = std::env::var("INCISE_LIGHT_SCENES").map_or(3, |v| v.parse().unwrap());
+    let count = std::env::var("INCISE_LIGHT_SCENES").map_or(2, |v| v.parse().unwrap());
     let all = [
-        "head-peel", "head-quadrant", "tomato-peel-then-wave", "piggy-bank-4", "bunny-knife", "brain-labels", "head-slabs",
+        "head-peel",
+        "head-quadrant",
+        "tomato-peel-then-wave",
+        "piggy-bank-4",
+        "bunny-knife",
+        "brain-labels",
+        "head-slabs",
         "apple-thick",
     ];
     for name in all.iter().take(count) {
         let mut s = scenes::load(name);
-        s.render.size = [72; 2];
+        s.render.size = [56; 2];
         s.render.antialias = Antialias::OFF;
         (s.light.shadow, s.light.occlusion, s.light.radius) = (true, true, 3.0);
         let assets = scenes::assets(&s);
@@ -293,7 +372,15 @@ pub fn light_volume_agrees_with_rays() {
             }
             sum / count / STEP
         };
-        println!("{name}: mean {:.2}/255 from the reference, {:.2} without light", mean(&fast), mean(&plain));
-        assert!(mean(&fast) <= 2.0 && mean(&plain) > mean(&fast), "{name}: {}", mean(&fast));
+        println!(
+            "{name}: mean {:.2}/255 from the reference, {:.2} without light",
+            mean(&fast),
+            mean(&plain)
+        );
+        assert!(
+            mean(&fast) <= 2.0 && mean(&plain) > mean(&fast),
+            "{name}: {}",
+            mean(&fast)
+        );
     }
 }

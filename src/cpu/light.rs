@@ -123,7 +123,13 @@ fn by_rays(scene: &Prepared, sampler: &VolumeSampler, volume: &LightVolume, at: 
 
 /// Transmittance along a ray through the deformed scene: of its volume, at the distance of the
 /// picture's samples, and of its surfaces.
-fn transmittance(scene: &Prepared, sampler: &VolumeSampler, origin: Vec3, direction: Vec3, reach_mm: f32) -> f32 {
+fn transmittance(
+    scene: &Prepared,
+    sampler: &VolumeSampler,
+    origin: Vec3,
+    direction: Vec3,
+    reach_mm: f32,
+) -> f32 {
     if !scene.surfaces.objects.is_empty()
         && surface::nearest_side(scene, origin, direction).is_some_and(|(t, _)| t < reach_mm)
     {

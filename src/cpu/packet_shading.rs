@@ -1,8 +1,8 @@
 //! [`super::shading`] for eight samples at once, and for those that must be shaded one by one.
 
 use super::SceneSample;
-use super::light::{LitSamples, light_shares_lanes};
 use super::edges::{FoundSamples, SampleExtents, ShadingRays, SurfaceEntries};
+use super::light::{LitSamples, light_shares_lanes};
 use super::packet::{PacketSampler, SamplePacket};
 use super::shading::{
     self, CUT_LOOKBACK_SHARE, CUT_LOOKBACK_STEPS, ISOTROPIC_DIFFUSE, MAX_CUT_LOOKBACK, SURFACE_GRADIENT,

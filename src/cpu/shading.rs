@@ -184,7 +184,14 @@ fn shade_point(
         direction,
     );
     Shaded {
-        color: light(scene, sampler, (normal, sample.depth), sample.deformed, direction, color),
+        color: light(
+            scene,
+            sampler,
+            (normal, sample.depth),
+            sample.deformed,
+            direction,
+            color,
+        ),
         depth_factor,
     }
 }

@@ -200,7 +200,13 @@ fn object_hit(
             let hit = triangles
                 .tree
                 .ray(origin, direction, 0.0, f32::INFINITY, |_| true)?;
-            Some(shade_triangle(scene, object, triangles, &hit, [origin, direction]))
+            Some(shade_triangle(
+                scene,
+                object,
+                triangles,
+                &hit,
+                [origin, direction],
+            ))
         }
         (Stage::Both(seam), Some(triangles)) => {
             let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| {

@@ -174,10 +174,18 @@ impl SceneCache {
             Some((target, written)) if written.size == volume.size => target,
             _ => {
                 context.forget_groups();
-                RenderTexture::new(context.texture_3d("light volume", volume.size, TextureFormat::Rg16Float)?)
+                RenderTexture::new(context.texture_3d(
+                    "light volume",
+                    volume.size,
+                    TextureFormat::Rg16Float,
+                )?)
             }
         };
-        let halves: Vec<u16> = volume.nodes().flatten().map(|v| half::f16::from_f32(v).to_bits()).collect();
+        let halves: Vec<u16> = volume
+            .nodes()
+            .flatten()
+            .map(|v| half::f16::from_f32(v).to_bits())
+            .collect();
         context.tally.count(ResourceKind::LightVolume);
         context.write_layers(&target.texture, 0, bytemuck::cast_slice(&halves), volume.size);
         let view = target.view.clone();

@@ -194,7 +194,10 @@ impl Light {
             let switch = || match value.trim() {
                 "on" => Ok(true),
                 "off" => Ok(false),
-                _ => Err(Error::value("--light", format!("{key}={value} is not known; use on or off"))),
+                _ => Err(Error::value(
+                    "--light",
+                    format!("{key}={value} is not known; use on or off"),
+                )),
             };
             match key.trim() {
                 "azimuth" => self.turn_to(number()?, self.angles()[1]),
@@ -296,7 +299,10 @@ impl Light {
                 format!("{} is outside 0 to {MAX_RADIUS} degrees", self.radius),
             ));
         }
-        if self.occlusion_mm.is_some_and(|mm| !(mm > 0.0 && mm <= MAX_OCCLUSION_MM)) {
+        if self
+            .occlusion_mm
+            .is_some_and(|mm| !(mm > 0.0 && mm <= MAX_OCCLUSION_MM))
+        {
             return Err(Error::value(
                 "light.occlusion_mm",
                 format!("must be above 0 and at most {MAX_OCCLUSION_MM} mm"),
@@ -390,7 +396,15 @@ mod tests {
         assert_eq!((light.diffuse, light.ambient), (0.5, 0.2));
         assert_eq!(light.angles(), [-66.0, 30.0]);
         light.check().unwrap();
-        for wrong in ["", "disco", "key=bright", "key=0.5,raking", "radius", "shadow=yes", "quality=best"] {
+        for wrong in [
+            "",
+            "disco",
+            "key=bright",
+            "key=0.5,raking",
+            "radius",
+            "shadow=yes",
+            "quality=best",
+        ] {
             let error = Light::default().apply(wrong).unwrap_err().to_string();
             assert!(error.contains("--light"), "{wrong}: {error}");
         }

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 
 /// The greatest optical depth of a cell (powers of 1/2). Depths are interpolated: a larger number
 /// would widen every shadow.
-const OPAQUE: f32 = 4.0;
-/// The most samples of a cell along an axis: a thin layer must not fall between them.
+const OPAQUE: f32 = 3.0;
+/// The most samples of a cell along an axis.
 const MAX_SAMPLES: usize = 3;
 /// Cells around what is visible: the outermost nodes are empty, and samples read in front of it.
 const MARGIN: f32 = 3.0;
@@ -29,7 +29,10 @@ pub(super) fn visible_box(scene: &Prepared) -> Bounds {
     };
     let objects = scene.surfaces.objects.iter();
     objects.fold(volume, |all, object| {
-        let triangles = object.triangles.as_ref().map_or(Bounds::EMPTY, |t| t.mesh.bounds());
+        let triangles = object
+            .triangles
+            .as_ref()
+            .map_or(Bounds::EMPTY, |t| t.mesh.bounds());
         all.union(&object.cells.grid.occupied).union(&triangles)
     })
 }
@@ -47,12 +50,15 @@ pub(super) fn sampled(scene: &Prepared, visible: &Bounds, cells: f32) -> DepthGr
         cell_mm = cell_mm.max(scene.frame.spacing.reference_mm);
     }
     let bounds = visible.grown(MARGIN * cell_mm);
-    let size = ((bounds.size() / cell_mm).ceil().as_uvec3() + 1).to_array().map(|n| n as usize);
+    let size = ((bounds.size() / cell_mm).ceil().as_uvec3() + 1)
+        .to_array()
+        .map(|n| n as usize);
     let mut grid = DepthGrid {
         size,
         origin: bounds.min,
         cell_mm,
         depth: vec![0.0; size.iter().product()],
+        read: Vec::new(),
     };
     scene.stack.fetch_texels();
     if takes_part(scene) {
@@ -67,6 +73,7 @@ pub(super) fn sampled(scene: &Prepared, visible: &Bounds, cells: f32) -> DepthGr
         }
     }
     empty_faces(&mut grid);
+    grid.read = DepthGrid::read_nodes(size, &grid.depth, 0.9 * OPAQUE);
     grid
 }
 
@@ -101,7 +108,8 @@ fn add_volume(scene: &Prepared, grid: &mut DepthGrid) {
         volume,
         sampler: VolumeSampler::new(volume.grid),
         cell_mm: grid.cell_mm,
-        samples: ((grid.cell_mm / (1.5 * voxel_mm)).ceil() as usize).clamp(1, MAX_SAMPLES),
+        // What voxels hold is interpolated over two of them: nothing falls between such samples.
+        samples: ((grid.cell_mm / (2.0 * voxel_mm)).ceil() as usize).clamp(1, MAX_SAMPLES),
         world_from_covector: Mat3::from(volume.voxel_from_world.matrix3).transpose(),
     };
     let [nx, ny, _] = grid.size;
@@ -170,13 +178,7 @@ impl SimdKernel for VolumeRow<'_> {
 impl VolumeDepths<'_> {
     /// Optical depths of a cell's length at eight points; `line`: the points lie on it.
     #[inline(always)]
-    fn at<S: Simd>(
-        &self,
-        simd: S,
-        p: Vec3x8<S>,
-        wanted: mask32x8<S>,
-        line: Option<&TexelLine>,
-    ) -> f32x8<S> {
+    fn at<S: Simd>(&self, simd: S, p: Vec3x8<S>, wanted: mask32x8<S>, line: Option<&TexelLine>) -> f32x8<S> {
         let zero = f32x8::splat(simd, 0.0);
         let stack: &Stack = &self.scene.stack;
         let mut lanes = wanted;
@@ -250,7 +252,12 @@ fn add_solid(scene: &Prepared, object: &SurfaceObject, grid: &mut DepthGrid) {
     grid.depth.par_chunks_mut(nx).enumerate().for_each(|(n, row)| {
         let first = origin + Vec3::new(0.0, (n % ny) as f32, (n / ny) as f32) * cell_mm;
         let end = first + Vec3::X * (cell_mm * (nx - 1) as f32);
-        if object.cells.grid.is_empty_block(&Bounds::new(first, end).grown(cell_mm)) && !is_filled(object) {
+        if object
+            .cells
+            .grid
+            .is_empty_block(&Bounds::new(first, end).grown(cell_mm))
+            && !is_filled(object)
+        {
             return;
         }
         for (i, to) in row.iter_mut().enumerate() {
@@ -272,7 +279,10 @@ fn add_triangles(object: &SurfaceObject, grid: &mut DepthGrid) {
     let [nx, ny, nz] = grid.size;
     let last = Vec3::new((nx - 1) as f32, (ny - 1) as f32, (nz - 1) as f32);
     for triangle in 0..triangles.mesh.triangles.len() {
-        let [a, b, c] = triangles.mesh.corners(triangle).map(|p| (p - grid.origin) / grid.cell_mm);
+        let [a, b, c] = triangles
+            .mesh
+            .corners(triangle)
+            .map(|p| (p - grid.origin) / grid.cell_mm);
         let longest = (b - a).length().max((c - a).length()).max((c - b).length());
         // Points at most half a cell apart.
         let steps = (2.0 * longest).ceil().clamp(1.0, 4096.0) as usize;

@@ -36,7 +36,7 @@ use sweep::{DepthGrid, Reach};
 /// How far in front of a surface its light is read, cells.
 const OFFSET_CELLS: f32 = 1.5;
 /// Axes of the directions over which occlusion is averaged: two directions each.
-const OCCLUSION_AXES: usize = 32;
+const OCCLUSION_AXES: usize = 48;
 /// Directions over which the disc of a light is averaged.
 const DISC_DIRECTIONS: usize = 16;
 /// Rays of a reference: as many as its directions.
@@ -257,8 +257,11 @@ impl Entry {
             self.occlusion = Some((reach_mm, Arc::new(all)));
             self.combined = None;
         }
-        let [shadow, open] = [&self.shadow.as_ref().map(|s| &s.1), &self.occlusion.as_ref().map(|o| &o.1)]
-            .map(|all| all.map_or(&[][..], |all| &all[..]));
+        let [shadow, open] = [
+            &self.shadow.as_ref().map(|s| &s.1),
+            &self.occlusion.as_ref().map(|o| &o.1),
+        ]
+        .map(|all| all.map_or(&[][..], |all| &all[..]));
         let combine = || {
             let stored = |all: &[f32], n: usize| all.get(n).map_or(FULL, |v| (v * FULL).round()) as i16;
             let texels: Vec<[i16; 4]> = (0..depths.depth.len())

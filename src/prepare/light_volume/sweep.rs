@@ -6,8 +6,10 @@
 //! their distance: all of a direction costs the same with a short reach as with an infinite one.
 //! The columns lie at the same fractions between all nodes of a slice, so that neighbours share
 //! their weights and lie in neighbouring lanes. Depths are interpolated once on the way to the
-//! columns and transmittances once on the way back, and nothing is interpolated twice: unlike a
-//! buffer that is swept through the slices, shadows do not blur with distance.
+//! columns and transmittances once on the way back: unlike a buffer that is swept through the
+//! slices, shadows do not blur with distance.
+//!
+//! Only nodes near which light is read are computed ([`DepthGrid::read_nodes`]).
 //!
 //! Transmittances are summed as whole numbers of 1/[`UNITS`], which floating point adds exactly:
 //! the result does not depend on the number of threads.
@@ -26,6 +28,8 @@ pub(super) struct DepthGrid {
     pub cell_mm: f32,
     /// Optical depth of the distance between nodes (powers of 1/2).
     pub depth: Vec<f32>,
+    /// The nodes near which light is read.
+    pub read: Vec<bool>,
 }
 
 /// How far along its direction a transmittance reaches.
@@ -39,6 +43,11 @@ pub(super) enum Reach {
 
 /// Resolution of a transmittance.
 const UNITS: f32 = 1024.0;
+/// Cells around matter in which light is read: in front of it, at the nodes around such a point, and
+/// farther out by those that are padded.
+const READ_AROUND: usize = 4;
+/// Cells into what is opaque after which nothing is seen.
+const SEEN_INTO: usize = 2;
 /// Empty columns on both sides of a row.
 const PADDING: usize = 2 * LANES;
 /// The most partial sums in memory.
@@ -48,10 +57,11 @@ const MAX_PARTS: usize = 12;
 const ORDER: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
 
 impl DepthGrid {
-    /// Mean transmittance from each node over directions (cells, of any length).
+    /// Mean transmittance from each node over directions (cells, of any length): if these reach to the
+    /// end of the grid, everywhere, otherwise where light is read, and 1 elsewhere.
     pub fn mean_transmittance(&self, directions: &[Vec3], reach: Reach) -> Vec<f32> {
         let parts = rayon::current_num_threads().min(MAX_PARTS);
-        let chunk = directions.len().div_ceil(parts).max(1);
+        let chunk = directions.len().div_ceil(2 * parts).max(1);
         let mut tasks: Vec<(usize, Vec<Vec3>)> = Vec::new();
         for axis in 0..3 {
             let of_axis = directions.iter().filter(|d| d.abs().max_position() == axis);
@@ -60,7 +70,7 @@ impl DepthGrid {
         }
         let sliced: [Option<SlicedDepths>; 3] = std::array::from_fn(|axis| {
             let is_used = tasks.iter().any(|(a, _)| *a == axis);
-            is_used.then(|| SlicedDepths::of(self, axis))
+            is_used.then(|| SlicedDepths::of(self, axis, reach == Reach::Infinite))
         });
         let sums: Vec<(usize, Vec<f32>)> = tasks
             .par_iter()
@@ -84,23 +94,70 @@ impl DepthGrid {
         let mut mean = vec![0.0; nx * ny * nz];
         mean.par_chunks_mut(nx * ny).enumerate().for_each(|(k, slice)| {
             for (axis, sums) in &sums {
-                let [nodes, rows, _] = ORDER[*axis].map(|n| self.size[n]);
+                let [nodes, rows, slices] = ORDER[*axis].map(|n| self.size[n]);
                 let stride = nodes.next_multiple_of(LANES);
-                for (j, row) in slice.chunks_mut(nx).enumerate() {
-                    let (start, step) = match axis {
-                        0 => (k * stride + j, rows * stride),
-                        1 => ((j * rows + k) * stride, 1),
-                        _ => ((k * rows + j) * stride, 1),
+                // Along the stored rows, which a slice of this grid has across if the axis is x.
+                let lines = if *axis == 0 { slices } else { ny };
+                for line in 0..lines {
+                    let (row, to, step) = match axis {
+                        0 => (line * rows + k, line, nx),
+                        1 => (line * rows + k, line * nx, 1),
+                        _ => (k * rows + line, line * nx, 1),
                     };
-                    for (to, sum) in row.iter_mut().zip(sums[start..].iter().step_by(step)) {
+                    let sums = &sums[row * stride..][..nodes];
+                    for (to, sum) in slice[to..].iter_mut().step_by(step).zip(sums) {
                         *to += sum;
                     }
                 }
             }
-            slice.iter_mut().for_each(|v| *v *= factor);
+            for (to, is_read) in slice.iter_mut().zip(&self.read[k * nx * ny..]) {
+                *to = if *is_read || reach == Reach::Infinite {
+                    *to * factor
+                } else {
+                    1.0
+                };
+            }
         });
         mean
     }
+
+    /// Marks the nodes near which light is read: around matter, as far as it is seen.
+    pub fn read_nodes(size: [usize; 3], depth: &[f32], opaque: f32) -> Vec<bool> {
+        let matter: Vec<bool> = depth.iter().map(|d| *d > 0.0).collect();
+        let thin: Vec<bool> = depth.iter().map(|d| *d < opaque).collect();
+        let (near, seen) = rayon::join(
+            || spread(size, matter, READ_AROUND),
+            || spread(size, thin, SEEN_INTO),
+        );
+        near.iter().zip(&seen).map(|(a, b)| *a && *b).collect()
+    }
+}
+
+/// The nodes at most `reach` nodes along each axis from a marked one.
+fn spread([nx, ny, nz]: [usize; 3], marked: Vec<bool>, reach: usize) -> Vec<bool> {
+    let layer = nx * ny;
+    // By offsets of whole lines, so that neighbours are or-ed in bulk.
+    let along = |from: &[bool], stride: usize, period: usize, count: usize| {
+        let mut to = from.to_vec();
+        to.par_chunks_mut(period)
+            .zip(from.par_chunks(period))
+            .for_each(|(to, from)| {
+                for n in 1..=reach.min(count - 1) {
+                    let shift = n * stride;
+                    to[shift..]
+                        .iter_mut()
+                        .zip(from)
+                        .for_each(|(to, from)| *to |= *from);
+                    to.iter_mut()
+                        .zip(&from[shift..])
+                        .for_each(|(to, from)| *to |= *from);
+                }
+            });
+        to
+    };
+    let x = along(&marked, 1, nx, nx);
+    let y = along(&x, nx, layer, ny);
+    along(&y, layer, layer * nz, nz)
 }
 
 /// A grid as slices across one of its axes.
@@ -111,33 +168,58 @@ struct SlicedDepths {
     /// Whole lanes that hold a row.
     stride: usize,
     depth: Vec<f32>,
+    /// Rows that hold anything.
+    filled: Vec<bool>,
+    /// Lanes near any of which light is read.
+    read: Vec<bool>,
 }
 
 impl SlicedDepths {
-    fn of(grid: &DepthGrid, axis: usize) -> Self {
+    /// Across an axis; `all`: light is read everywhere.
+    fn of(grid: &DepthGrid, axis: usize, all: bool) -> Self {
         let [nodes, rows, slices] = ORDER[axis].map(|n| grid.size[n]);
         let [nx, ny, _] = grid.size;
         let [along, across, on] = ORDER[axis].map(|n| [1, nx, nx * ny][n]);
         let stride = nodes.next_multiple_of(LANES);
+        let lanes = stride / LANES;
         let mut depth = vec![0.0; stride * rows * slices];
-        depth.par_chunks_mut(stride).enumerate().for_each(|(n, row)| {
-            let start = n % rows * across + n / rows * on;
-            for (to, from) in row[..nodes].iter_mut().zip(grid.depth[start..].iter().step_by(along)) {
-                *to = *from;
-            }
-        });
+        let mut filled = vec![false; rows * slices];
+        let mut read = vec![all; lanes * rows * slices];
+        // Several slices at once: neighbours across them share lines of the cache.
+        depth
+            .par_chunks_mut(stride * rows * LANES)
+            .zip(filled.par_chunks_mut(rows * LANES))
+            .zip(read.par_chunks_mut(lanes * rows * LANES))
+            .enumerate()
+            .for_each(|(n, ((depth, filled), read))| {
+                for row in 0..rows {
+                    for slice in 0..filled.len() / rows {
+                        let start = row * across + (n * LANES + slice) * on;
+                        let number = slice * rows + row;
+                        let from = grid.depth[start..].iter().zip(&grid.read[start..]).step_by(along);
+                        let to = depth[number * stride..][..nodes].iter_mut().enumerate();
+                        for ((i, to), (depth, is_read)) in to.zip(from) {
+                            *to = *depth;
+                            filled[number] |= *depth > 0.0;
+                            read[number * lanes + i / LANES] |= *is_read;
+                        }
+                    }
+                }
+            });
         Self {
             axis,
             size: [nodes, rows, slices],
             stride,
             depth,
+            filled,
+            read,
         }
     }
 
-    /// The index of the first node of a row.
+    /// The number of a row.
     #[inline(always)]
-    fn start(&self, slice: usize, row: isize) -> usize {
-        (slice * self.size[1] + row as usize) * self.stride
+    fn row(&self, slice: usize, row: isize) -> usize {
+        slice * self.size[1] + row as usize
     }
 }
 
@@ -201,12 +283,16 @@ impl SimdKernel for Sweep<'_> {
             width,
             length: direction.length() / on.abs(),
             toward_last: on > 0.0,
-            depth: vec![0.0; width * slices],
+            rows: std::array::from_fn(|_| ColumnRow {
+                depth: vec![0.0; width * slices],
+                passed: vec![0.0; width * slices],
+                slices: [0, 0],
+            }),
             nodes: vec![0.0; depths.stride + 2 * PADDING],
             here: vec![0.0; width],
             before: vec![0.0; width],
+            wanted: vec![false; width / LANES],
         };
-        let mut passed = [vec![0.0; width * slices], vec![0.0; width * slices]];
         for row in 0..along.columns as isize {
             // The slices in which the columns lie on the grid.
             let on_grid = |k: &usize| (-1..rows as isize).contains(&(row + along.at(*k).0));
@@ -214,155 +300,219 @@ impl SimdKernel for Sweep<'_> {
                 continue;
             };
             let last = (first..slices).take_while(on_grid).last().unwrap_or(first);
+            columns.rows.swap(0, 1);
+            columns.rows[1].slices = [first, last];
             columns.before.fill(0.0);
             for k in first..=last {
                 let (node, part) = along.at(k);
-                columns.add_slice(simd, depths, (k, k > first), (row + node, part), across.at(k));
+                columns.add_slice(simd, depths, k, (row + node, part), across.at(k));
             }
-            passed.swap(0, 1);
             for k in first..=last {
                 let (node, part) = along.at(k);
-                let (first_node, beyond) = across.at(k);
-                // The column before the first node of the row.
-                let start = (PADDING as isize - first_node - 1) as usize;
-                let shown = start / LANES * LANES..(start + depths.stride + 2).next_multiple_of(LANES).min(width);
-                columns.transmittance(simd, reach, [first, k, last], shown, &mut passed[1]);
+                let start = first_column(across.at(k));
+                columns.transmit(simd, depths, reach, k, row + node, start);
                 // The nodes between these columns and those of the row before.
                 let at = row + node;
                 if (0..rows as isize).contains(&at) {
-                    let sums = &mut sums[depths.start(k, at)..][..depths.stride];
-                    let [before, here] = &passed;
-                    let from = k * width + start;
-                    add_nodes(simd, sums, [&before[from..], &here[from..]], [1.0 - beyond, 1.0 - part]);
+                    let parts = [1.0 - across.at(k).1, 1.0 - part];
+                    columns.add_nodes(simd, depths, (k, at), start, parts, sums);
                 }
             }
         }
     }
 }
 
-/// The columns of one row, slice by slice.
+/// The column before the first node of a slice, where column 0 is the given nodes after the first,
+/// in a row with empty columns on both sides.
+fn first_column((first_node, _): (isize, f32)) -> usize {
+    (PADDING as isize - first_node - 1) as usize
+}
+
+/// Two rows of columns, the second one being walked.
 struct Columns {
-    /// Columns, empty ones on both sides included.
+    /// Columns of a row, empty ones on both sides included.
     width: usize,
     /// Of a column between two slices, cells.
     length: f32,
     /// Whether the light lies beyond the last slice.
     toward_last: bool,
-    /// Optical depths from the first slice.
-    depth: Vec<f32>,
+    rows: [ColumnRow; 2],
     /// A row of nodes, with empty ones on both sides; and the columns' densities in this slice and
     /// in the one before.
     nodes: Vec<f32>,
     here: Vec<f32>,
     before: Vec<f32>,
+    /// Lanes of columns whose transmittances are read.
+    wanted: Vec<bool>,
+}
+
+/// A row of columns, slice by slice.
+struct ColumnRow {
+    /// Optical depths from the first slice.
+    depth: Vec<f32>,
+    /// Transmittances.
+    passed: Vec<f32>,
+    /// The first and the last slice in which they lie on the grid.
+    slices: [usize; 2],
 }
 
 impl Columns {
-    /// Continues the columns to slice `k`, the first one if there is nothing before it, where they
-    /// lie `part` beyond the nodes' row `row`, and column 0 lies `beyond` the node `first_node`.
+    /// Continues the columns to slice `k`, where they lie `part` beyond the nodes' row `row`, and
+    /// column 0 lies `beyond` the node `first_node`.
     #[inline(always)]
     fn add_slice<S: Simd>(
         &mut self,
         simd: S,
         depths: &SlicedDepths,
-        (k, continues): (usize, bool),
+        k: usize,
         (row, part): (isize, f32),
         (first_node, beyond): (isize, f32),
     ) {
         let rows = depths.size[1] as isize;
-        let of_row = |n: isize| &depths.depth[depths.start(k, n.clamp(0, rows - 1))..][..depths.stride];
-        let weight = [
-            if row >= 0 { 1.0 - part } else { 0.0 },
-            if row + 1 < rows { part } else { 0.0 },
-        ];
-        let target = self.nodes[PADDING..][..depths.stride].chunks_exact_mut(LANES);
-        let pairs = of_row(row).chunks_exact(LANES).zip(of_row(row + 1).chunks_exact(LANES));
-        for (to, (a, b)) in target.zip(pairs) {
-            let a = f32x8::from_slice(simd, a) * weight[0];
-            f32x8::from_slice(simd, b).mul_add(weight[1], a).store_slice(to);
-        }
+        let inside = |n: isize| (0..rows).contains(&n) && depths.filled[depths.row(k, n)];
         self.here.fill(0.0);
-        let start = (PADDING as isize - first_node - 1).max(0) as usize / LANES * LANES;
-        // The node before column `start`, which holds PADDING columns less.
-        let node = (start as isize + first_node) as usize;
-        let count = (depths.stride + PADDING).min(self.nodes.len() - 1 - node).min(self.width - start) / LANES * LANES;
-        let pairs = self.nodes[node..][..count]
-            .chunks_exact(LANES)
-            .zip(self.nodes[node + 1..][..count].chunks_exact(LANES));
-        for (to, (a, b)) in self.here[start..][..count].chunks_exact_mut(LANES).zip(pairs) {
-            mix(simd, a, b, beyond).store_slice(to);
+        if inside(row) || inside(row + 1) {
+            let of_row = |n: isize| {
+                let start = depths.row(k, n.clamp(0, rows - 1)) * depths.stride;
+                &depths.depth[start..start + depths.stride]
+            };
+            let (a, b) = (of_row(row), of_row(row + 1));
+            let weight = [
+                if row >= 0 { 1.0 - part } else { 0.0 },
+                if row + 1 < rows { part } else { 0.0 },
+            ];
+            let target = &mut self.nodes[PADDING..PADDING + depths.stride];
+            let mut n = 0;
+            while n < target.len() {
+                let low = load(simd, a, n) * weight[0];
+                let mixed = load(simd, b, n).mul_add(weight[1], low);
+                mixed.store_slice(&mut target[n..n + LANES]);
+                n += LANES;
+            }
+            // Whole lanes from the column before the first node on.
+            let mut column = first_column((first_node, beyond)) / LANES * LANES;
+            let mut node = (column as isize + first_node) as usize;
+            let end = (column + depths.stride + PADDING).min(self.width);
+            while column < end {
+                let mixed = mix(simd, &self.nodes, node, beyond);
+                mixed.store_slice(&mut self.here[column..column + LANES]);
+                (column, node) = (column + LANES, node + LANES);
+            }
         }
-        let (done, rest) = self.depth.split_at_mut(k * self.width);
-        let depth = &mut rest[..self.width];
-        if continues {
+        let (width, row) = (self.width, &mut self.rows[1]);
+        let (done, rest) = row.depth.split_at_mut(k * width);
+        let depth = &mut rest[..width];
+        if k == row.slices[0] {
+            depth.fill(0.0);
+        } else {
             // The trapezoidal rule.
             let half = 0.5 * self.length;
-            let ends = self.before.chunks_exact(LANES).zip(self.here.chunks_exact(LANES));
-            let previous = done[(k - 1) * self.width..].chunks_exact(LANES);
-            for ((to, from), (a, b)) in depth.chunks_exact_mut(LANES).zip(previous).zip(ends) {
-                let both = f32x8::from_slice(simd, a) + f32x8::from_slice(simd, b);
-                both.mul_add(half, f32x8::from_slice(simd, from)).store_slice(to);
+            let previous = &done[(k - 1) * width..];
+            let mut n = 0;
+            while n < width {
+                let both = load(simd, &self.before, n) + load(simd, &self.here, n);
+                let sum = both.mul_add(half, load(simd, previous, n));
+                sum.store_slice(&mut depth[n..n + LANES]);
+                n += LANES;
             }
-        } else {
-            depth.fill(0.0);
         }
         std::mem::swap(&mut self.here, &mut self.before);
     }
 
-    /// Transmittances from slice `k` of those from `first` to `last` in a range of columns.
+    /// Transmittances from slice `k` in the columns around the nodes of two rows, `node` and the one
+    /// after it, near which light is read. `start`: the column before the first node.
     #[inline(always)]
-    fn transmittance<S: Simd>(
+    fn transmit<S: Simd>(
+        &mut self,
+        simd: S,
+        depths: &SlicedDepths,
+        reach: Reach,
+        k: usize,
+        node: isize,
+        start: usize,
+    ) {
+        self.wanted.fill(false);
+        let lanes = depths.stride / LANES;
+        for row in [node, node + 1] {
+            if (0..depths.size[1] as isize).contains(&row) {
+                let read = &depths.read[depths.row(k, row) * lanes..][..lanes];
+                for n in (0..lanes).filter(|n| read[*n]) {
+                    // The columns of eight nodes, and the one after them.
+                    let column = start + n * LANES;
+                    self.wanted[column / LANES] = true;
+                    self.wanted[(column + LANES) / LANES] = true;
+                }
+            }
+        }
+        let (width, row) = (self.width, &mut self.rows[1]);
+        let [first, last] = row.slices;
+        let of_slice = |n: usize| &row.depth[n * width..(n + 1) * width];
+        let target = &mut row.passed[k * width..(k + 1) * width];
+        let here = of_slice(k);
+        let steps = if let Reach::BothWays(cells) = reach {
+            cells / self.length
+        } else {
+            0.0
+        };
+        let (whole, part) = (steps as usize, steps.fract());
+        // Beyond the grid there is nothing.
+        let ahead = [whole, whole + 1].map(|n| of_slice((k + n).min(last)));
+        let behind = [whole, whole + 1].map(|n| of_slice(k.saturating_sub(n).max(first)));
+        let end = of_slice(if self.toward_last { last } else { first });
+        for n in (0..self.wanted.len()).filter(|n| self.wanted[*n]) {
+            let n = n * LANES;
+            let depth = load(simd, here, n);
+            let passed = match reach {
+                Reach::Infinite => exp2(-(depth - load(simd, end, n)).abs()),
+                Reach::BothWays(_) => {
+                    let (a, b) = (load(simd, ahead[0], n), load(simd, ahead[1], n));
+                    let (c, d) = (load(simd, behind[0], n), load(simd, behind[1], n));
+                    let ahead = (b - a).mul_add(part, a) - depth;
+                    let behind = depth - (d - c).mul_add(part, c);
+                    exp2(-ahead) + exp2(-behind)
+                }
+            };
+            passed.store_slice(&mut target[n..n + LANES]);
+        }
+    }
+
+    /// Adds the transmittances at the nodes of a row, which lie parts of the way from columns to the
+    /// next ones, the first one being `start`, and from the first row of columns to the second.
+    #[inline(always)]
+    fn add_nodes<S: Simd>(
         &self,
         simd: S,
-        reach: Reach,
-        [first, k, last]: [usize; 3],
-        shown: std::ops::Range<usize>,
-        passed: &mut [f32],
+        depths: &SlicedDepths,
+        (k, row): (usize, isize),
+        start: usize,
+        part: [f32; 2],
+        sums: &mut [f32],
     ) {
-        let of_slice = |n: usize| self.depth[n * self.width..][shown.clone()].chunks_exact(LANES);
-        let target = passed[k * self.width..][shown.clone()].chunks_exact_mut(LANES);
-        let here = of_slice(k);
-        match reach {
-            Reach::Infinite => {
-                let end = of_slice(if self.toward_last { last } else { first });
-                for (to, (a, b)) in target.zip(here.zip(end)) {
-                    let depth = (f32x8::from_slice(simd, a) - f32x8::from_slice(simd, b)).abs();
-                    exp2(-depth).store_slice(to);
-                }
-            }
-            Reach::BothWays(cells) => {
-                let steps = cells / self.length;
-                let (whole, part) = (steps as usize, steps.fract());
-                let [a, b] = [whole, whole + 1].map(|n| of_slice((k + n).min(last)));
-                let [c, d] = [whole, whole + 1].map(|n| of_slice(k.saturating_sub(n).max(first)));
-                for ((to, at), ((a, b), (c, d))) in target.zip(here).zip(a.zip(b).zip(c.zip(d))) {
-                    let at = f32x8::from_slice(simd, at);
-                    let ahead = mix(simd, a, b, part) - at;
-                    let behind = at - mix(simd, c, d, part);
-                    (exp2(-ahead) + exp2(-behind)).store_slice(to);
-                }
-            }
+        let number = depths.row(k, row);
+        let lanes = depths.stride / LANES;
+        let read = &depths.read[number * lanes..][..lanes];
+        let sums = &mut sums[number * depths.stride..][..depths.stride];
+        let [before, here] = &self.rows;
+        for n in (0..lanes).filter(|n| read[*n]) {
+            let (n, column) = (n * LANES, k * self.width + start + n * LANES);
+            let low = mix(simd, &before.passed, column, part[0]);
+            let high = mix(simd, &here.passed, column, part[0]);
+            let units = ((high - low).mul_add(part[1], low) * UNITS).round_ties_even();
+            let sum = load(simd, sums, n) + units;
+            sum.store_slice(&mut sums[n..n + LANES]);
         }
     }
 }
 
-/// Eight numbers a part of the way from eight numbers to eight others.
+/// Eight numbers.
 #[inline(always)]
-fn mix<S: Simd>(simd: S, a: &[f32], b: &[f32], part: f32) -> f32x8<S> {
-    let a = f32x8::from_slice(simd, a);
-    (f32x8::from_slice(simd, b) - a).mul_add(part, a)
+fn load<S: Simd>(simd: S, from: &[f32], n: usize) -> f32x8<S> {
+    f32x8::from_slice(simd, &from[n..n + LANES])
 }
 
-/// Adds the values at nodes between two rows of columns to their sums: each node lies the given
-/// parts of the way from the columns at the same index of the first row to those after it, and to
-/// the second row.
+/// Eight numbers a part of the way from eight numbers to the ones after them.
 #[inline(always)]
-fn add_nodes<S: Simd>(simd: S, sums: &mut [f32], [before, here]: [&[f32]; 2], part: [f32; 2]) {
-    let before = before.chunks_exact(LANES).zip(before[1..].chunks_exact(LANES));
-    let here = here.chunks_exact(LANES).zip(here[1..].chunks_exact(LANES));
-    for (sum, ((a, b), (c, d))) in sums.chunks_exact_mut(LANES).zip(before.zip(here)) {
-        let (low, high) = (mix(simd, a, b, part[0]), mix(simd, c, d, part[0]));
-        let units = (high - low).mul_add(part[1], low) * UNITS;
-        (f32x8::from_slice(simd, sum) + units.round_ties_even()).store_slice(sum);
-    }
+fn mix<S: Simd>(simd: S, from: &[f32], n: usize, part: f32) -> f32x8<S> {
+    let a = load(simd, from, n);
+    (load(simd, from, n + 1) - a).mul_add(part, a)
 }
