@@ -1,4 +1,4 @@
-// Triangles moved by forward deformers. Counterpart of shade_triangle in src/cpu/surface.rs.
+// Triangles moved by forward deformers. Counterpart of shade_triangle in src/cpu/surface_shading.rs.
 
 struct Vertex {
     @builtin(position) position: vec4<f32>,

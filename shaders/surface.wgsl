@@ -1,5 +1,5 @@
 // Traces one object by rays and joins it with its triangles where those were drawn before.
-// Counterpart of object_hit in src/cpu/surface.rs; the device does the depth test between objects.
+// Counterpart of object_hit in src/cpu/surface_shading.rs; the device does the depth test between objects.
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {

@@ -144,14 +144,28 @@
 //! vector h between the light and the eye, and the weights of the scene's `[light]`:
 //!
 //! ```text
-//! sky  = ambient sky_color,  key = diffuse key_color
+//! sky  = V ambient sky_color,  key = S diffuse key_color
 //! even = C (sky + 0.6 key)
-//! lit  = C (sky + key max(n·l, 0)) + key_color specular max(n·h, 0)^shininess        highlight only if n·l > 0
+//! lit  = C (sky + key max(n·l, 0)) + S key_color specular max(n·h, 0)^shininess      highlight only if n·l > 0
 //! out  = even + (lit - even) c
 //! ```
 //!
 //! The result is clamped to 0..1. Two-sided light turns n towards the eye. Surfaces have c = 1 and
 //! their own highlight. MIP, MinIP and average are unlit.
+//!
+//! **Shadow** S is the transmittance towards the light through the deformed, cut scene, averaged over
+//! the light's disc. **Occlusion** is that of the sky: with V_raw, the mean transmittance over all
+//! directions within a reach R (local occlusion; Hernell, Ljung and Ynnerman 2010),
+//!
+//! ```text
+//! V = min(1, (1 + c') V_raw)
+//! ```
+//!
+//! A flat open surface sees half of the sphere and is as bright as without occlusion. c' is c or, if
+//! that is larger, the opacity of the sample over the distance at which its light is read: a dense
+//! sample is seen from outside, hence is a surface. The light is read 1.5 cells of the light volume
+//! in front of the sample: along n as far as there is a normal, otherwise towards the eye. Without
+//! shadows and occlusion S = V = 1; with either, n is turned towards the eye.
 //!
 //! # Opacity and compositing
 //!

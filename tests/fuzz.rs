@@ -171,6 +171,8 @@ impl Maker<'_> {
         }
         match path {
             "mesh" => self.made_of_something(&mut table),
+            // Rays for each sample take seconds.
+            "light" if self.random.chance(0.95) => table.retain(|key, _| key != "quality"),
             // What is computed has no options of files.
             "volume"
                 if table

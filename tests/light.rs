@@ -115,7 +115,7 @@ pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
                     "{what} at {at}: V_raw {got:.4}, by the closed form {closed:.4}, by directions {exact:.4}"
                 );
                 assert!(
-                    (exact / closed - 1.0).abs() <= 0.02,
+                    (exact / closed - 1.0).abs() <= 0.04,
                     "{what} at {at}: {exact}, not {closed}"
                 );
                 assert!(

@@ -89,6 +89,7 @@ pub fn trials() -> Vec<Trial> {
         ));
     }
     all.push(gpu("parity::options_agree".into(), Box::new(options_agree)));
+    all.push(gpu("parity::shadows_agree".into(), Box::new(shadows_agree)));
     all.push(gpu(
         "parity::antialiasing_agrees".into(),
         Box::new(antialiasing_agrees),
@@ -217,6 +218,42 @@ fn scene_agrees(name: &str, mode: Mode) {
         &format!("{name} {mode:?}"),
         &Prepared::new(&scene, &assets).unwrap(),
     );
+}
+
+/// Shadows and occlusion by rays, slices, surfaces, triangles, iso-surfaces and on grey cut faces.
+fn shadows_agree() {
+    let check = |what: &str, name: &str, change: &dyn Fn(&mut Scene)| {
+        let mut scene = scenes::load(name);
+        scene.render.size = [160, 150];
+        scene.render.antialias = Antialias::OFF;
+        change(&mut scene);
+        let assets = scenes::assets(&scene);
+        let plain = cpu::render(&Prepared::new(&scene, &assets).unwrap()).picture;
+        (scene.light.shadow, scene.light.occlusion, scene.light.radius) = (true, true, 4.0);
+        let prepared = Prepared::new(&scene, &assets).unwrap();
+        let lit = cpu::render(&prepared).picture;
+        let d = difference(&plain, &lit).unwrap();
+        assert!(d.mean > STEP, "{what}: {}/255 by shadows", d.mean / STEP);
+        agree(&format!("{what} with shadows"), &prepared);
+    };
+    check("rays", "head-peel", &|_| ());
+    check("slices", "head-peel", &|s| s.render.mode = Mode::Slice);
+    check("labels", "brain-labels", &|_| ());
+    check("one-sided light", "tomato-wave-then-peel", &|s| {
+        s.light.two_sided = false
+    });
+    check("an iso-surface", "head-iso", &|_| ());
+    check("an iso-surface by derivatives", "head-iso", &|s| {
+        s.render.iso_light = IsoLight::Derivative
+    });
+    check("grey cut faces", "head-quadrant", &|s| {
+        s.render.cut_faces = CutFaces::Grey
+    });
+    check("surfaces", "apple-thick", &|_| ());
+    check("sliced surfaces", "apple-thick", &|s| s.render.mode = Mode::Slice);
+    check("triangles", "bunny-deformers", &|_| ());
+    check("triangles and rays", "bunny-two-stage", &|_| ());
+    check("a volume with surfaces", "head-with-nuclei", &|_| ());
 }
 
 /// Adaptive antialiasing by rays (fragments and compute), slices and their projections, triangles,

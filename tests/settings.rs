@@ -60,6 +60,20 @@ path = "COLORED"
 [render]
 size = [64, 64]
 "#;
+const SHADOWS: &str = r#"
+incise = 1
+[volume]
+path = "phantom:head-ct:size=48"
+[[deformation]]
+kind = "half-space"
+[camera]
+view = "40,20"
+[light]
+shadow = true
+occlusion = true
+[render]
+size = [64, 64]
+"#;
 const ISO: &str = r#"
 incise = 1
 [volume]
@@ -155,6 +169,12 @@ const ACTS: &[(&str, &str, &str, bool)] = &[
     (VOLUME, "light.sky_color", "[0.2, 0.5, 1.0]", true),
     (VOLUME, "light.follows_camera", "false", true),
     (VOLUME, "light.two_sided", "false", true),
+    (VOLUME, "light.shadow", "true", true),
+    (VOLUME, "light.occlusion", "true", true),
+    (SHADOWS, "light.radius", "20.0", true),
+    (SHADOWS, "light.occlusion_mm", "5.0", true),
+    (SHADOWS, "light.quality", "\"reference\"", true),
+    (SURFACE, "light.shadow", "true", true),
     (SURFACE, "light.direction", "[1.0, 0.0, 0.2]", true),
     (SURFACE, "light.azimuth", "70.0", true),
     (SURFACE, "light.key_color", "[1.0, 0.5, 0.2]", true),
@@ -214,6 +234,11 @@ const IDLE: &[(&str, &str, &str)] = &[
     (SURFACE, "render.blend_format", "\"float16\""),
     (SURFACE, "render.early_termination", "false"),
     (SURFACE, "light.two_sided", "false"),
+    (SURFACE, "light.quality", "\"reference\""),
+    (SHADOWS, "light.two_sided", "false"),
+    (VOLUME, "light.radius", "5.0"),
+    (VOLUME, "light.occlusion_mm", "5.0"),
+    (VOLUME, "light.quality", "\"reference\""),
     (SURFACE, "surface.seam", "6.0"),
     (SURFACE, "surface.two_stage", "true"),
     (VOLUME, "render.slab", "8"),

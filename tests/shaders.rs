@@ -247,8 +247,12 @@ const PAIRS: &[(&str, &str, &str)] = &[
     (
         "src/cpu/surface.rs",
         "shaders/lib/surface.wgsl",
-        "depth_in_boxes is_undeformed apply_cut_model sample=surface_sample trace changes may_hide_a_surface step_length first_event bisect normal=surface_normal \
-         light=surface_light",
+        "depth_in_boxes is_undeformed apply_cut_model sample=surface_sample trace changes may_hide_a_surface step_length first_event bisect normal=surface_normal",
+    ),
+    (
+        "src/cpu/surface_shading.rs",
+        "shaders/lib/surface.wgsl",
+        "light=surface_light",
     ),
     ("src/cpu/mod.rs", "shaders/lib/volume.wgsl", "sample_scene"),
     (

@@ -1,4 +1,4 @@
-// Counterpart of src/cpu/surface.rs.
+// Counterpart of src/cpu/surface.rs and of light in src/cpu/surface_shading.rs.
 
 const BISECTION_STEPS: i32 = 14;
 const MIN_SPHERE_STEP: f32 = 0.25;

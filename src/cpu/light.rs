@@ -2,15 +2,13 @@
 //!
 //! `shaders/lib/light.wgsl` computes the same from the light volume.
 
-use super::shading::Normal;
 use super::{sample_scene, surface};
 use crate::math::lanes::*;
 use crate::math::light::LightShares;
 use crate::math::normalize_or;
-use crate::prepare::{LightVolume, Prepared};
-use crate::scene::LightQuality;
+use crate::prepare::{Prepared, ReferenceRays};
 use crate::volume::VolumeSampler;
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 
 /// The optical depth per reference length of something opaque.
 pub(super) const SOLID_DEPTH: f32 = 16.0;
@@ -19,14 +17,11 @@ const MAX_DEPTH: f32 = 12.0;
 
 /// The normal on the side that the eye sees, where light casts shadows: light that falls on the
 /// other side is not seen.
-pub(super) fn facing_the_eye(scene: &Prepared, n: Normal, direction: Vec3) -> Normal {
-    if scene.light_volume.is_some() && n.normal.dot(direction) > 0.0 {
-        return Normal {
-            normal: -n.normal,
-            ..n
-        };
+pub(super) fn facing_the_eye(scene: &Prepared, normal: Vec3, direction: Vec3) -> Vec3 {
+    if scene.light_volume.is_some() && normal.dot(direction) > 0.0 {
+        return -normal;
     }
-    n
+    normal
 }
 
 /// The shares of the light that reach a sample seen along `direction`. `depth` is its optical depth
@@ -35,7 +30,7 @@ pub(super) fn facing_the_eye(scene: &Prepared, n: Normal, direction: Vec3) -> No
 pub(super) fn light_shares(
     scene: &Prepared,
     sampler: &VolumeSampler,
-    n: Normal,
+    (normal, confidence): (Vec3, f32),
     depth: f32,
     at: Vec3,
     direction: Vec3,
@@ -43,13 +38,13 @@ pub(super) fn light_shares(
     let Some(volume) = &scene.light_volume else {
         return LightShares::ALL;
     };
-    let out = n.normal * n.confidence - direction * (1.0 - n.confidence);
+    let out = normal * confidence - direction * (1.0 - confidence);
     let in_front = at + normalize_or(out, -direction) * volume.offset_mm();
     let per_offset = volume.offset_mm() / scene.frame.spacing.reference_mm;
-    let confidence = n.confidence.max(1.0 - (-depth * per_offset).exp2());
-    let [key, open] = match scene.light.quality {
-        LightQuality::Fast => volume.sample(in_front),
-        LightQuality::Reference => by_rays(scene, sampler, volume, in_front),
+    let confidence = confidence.max(1.0 - (-depth * per_offset).exp2());
+    let [key, open] = match &volume.rays {
+        None => volume.sample(in_front),
+        Some(rays) => by_rays(scene, sampler, rays, in_front),
     };
     LightShares {
         key,
@@ -87,11 +82,11 @@ pub(super) fn light_shares_lanes<S: Simd>(
     let per_offset = volume.offset_mm() / scene.frame.spacing.reference_mm;
     let confidence = samples.confidence.max(one - exp2(samples.depth * -per_offset));
     let [mut key, mut open] = [one, one];
-    match scene.light.quality {
-        LightQuality::Fast => [key, open] = volume.sample_lanes(simd, in_front),
-        LightQuality::Reference => {
+    match &volume.rays {
+        None => [key, open] = volume.sample_lanes(simd, in_front),
+        Some(rays) => {
             for n in lanes_of(lanes) {
-                [key[n], open[n]] = by_rays(scene, sampler, volume, in_front.lane(n));
+                [key[n], open[n]] = by_rays(scene, sampler, rays, in_front.lane(n));
             }
         }
     }
@@ -103,7 +98,7 @@ pub(super) fn light_shares_lanes<S: Simd>(
 
 /// S and `V_raw` at a point by rays through the scene itself.
 #[inline(never)]
-fn by_rays(scene: &Prepared, sampler: &VolumeSampler, volume: &LightVolume, at: Vec3) -> [f32; 2] {
+fn by_rays(scene: &Prepared, sampler: &VolumeSampler, rays: &ReferenceRays, at: Vec3) -> [f32; 2] {
     let mean = |directions: &[Vec3], reach_mm: f32| -> f32 {
         let sum: f32 = directions
             .iter()
@@ -116,8 +111,8 @@ fn by_rays(scene: &Prepared, sampler: &VolumeSampler, volume: &LightVolume, at: 
         }
     };
     [
-        mean(&volume.rays.toward_light, f32::INFINITY),
-        mean(&volume.rays.around, volume.rays.reach_mm),
+        mean(&rays.toward_light, f32::INFINITY),
+        mean(&rays.around, rays.reach_mm),
     ]
 }
 
@@ -160,7 +155,7 @@ fn transmittance(
                     let depth = volume.table.lookup(at.value)[3];
                     let factor = if depth > 0.0 && scene.uses_gradient_opacity() {
                         let per_voxel = sampler.gradient(at.in_voxel, scene.gradient_filter());
-                        let gradient = super::shading::world_from_voxel_covector(scene, per_voxel);
+                        let gradient = Mat3::from(volume.voxel_from_world.matrix3).transpose() * per_voxel;
                         volume.table.gradient_factor(gradient.length())
                     } else {
                         1.0

@@ -40,6 +40,7 @@ pub mod section;
 pub mod shading;
 mod slices;
 pub mod surface;
+pub mod surface_shading;
 
 use crate::math::lanes::*;
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
@@ -265,7 +266,7 @@ impl PacketSampler<'_> {
                 let mut behind = [None; LANES];
                 if !scene.surfaces.objects.is_empty() {
                     for n in (0..LANES).filter(|n| place.wanted[*n]) {
-                        behind[n] = surface::nearest(
+                        behind[n] = surface_shading::nearest(
                             scene,
                             origin.lane(n),
                             direction.lane(n),

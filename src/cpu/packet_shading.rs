@@ -118,7 +118,7 @@ impl PacketSampler<'_> {
             };
         }
         let mut normal = -inward.normalized();
-        if scene.light.two_sided {
+        if scene.is_lit_on_both_sides() {
             let away = normal.dot(rays.direction).simd_gt(0.0);
             normal = Vec3x8::select(away, -normal, normal);
         }
@@ -256,7 +256,7 @@ impl PacketSampler<'_> {
     ) -> Vec3x8<S> {
         let scene = self.scene;
         let mut inward = gradient;
-        if !scene.light.two_sided {
+        if !scene.is_lit_on_both_sides() {
             for n in lanes_of(bits) {
                 if scene.volume().table.opacity_slope_sign(entry.value[n]) < 0.0 {
                     inward.set(n, -inward.lane(n));

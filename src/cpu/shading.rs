@@ -171,7 +171,7 @@ fn shade_point(
     if !scene.is_lit() {
         return Shaded { color, depth_factor };
     }
-    let falling = if scene.light.two_sided {
+    let falling = if scene.is_lit_on_both_sides() {
         1.0
     } else {
         scene.volume().table.opacity_slope_sign(sample.value)
@@ -299,7 +299,7 @@ fn light_cosine_by_derivative(scene: &Prepared, sampler: &VolumeSampler, at: Vec
     // Values decrease outwards, that is, towards a light that the surface faces.
     let [l, u, v] = [to_light, u, v].map(|e| value(at - e * h) - value(at + e * h));
     let facing = l / (l * l + u * u + v * v).sqrt().max(1e-6);
-    if scene.light.two_sided {
+    if scene.is_lit_on_both_sides() {
         facing.abs()
     } else {
         facing.max(0.0)
@@ -356,11 +356,7 @@ pub(super) fn iso_surface(
     let gradient = world_from_voxel_covector(scene, per_voxel);
     if !through_cut && scene.settings.iso_light == IsoLight::Derivative {
         let facing = light_cosine_by_derivative(scene, sampler, inside);
-        let no_normal = Normal {
-            normal: -direction,
-            confidence: 0.0,
-        };
-        let shares = light_shares(scene, sampler, no_normal, SOLID_DEPTH, inside, direction);
+        let shares = light_shares(scene, sampler, (-direction, 0.0), SOLID_DEPTH, inside, direction);
         let factors = Vec3::from(scene.light.blinn_phong().even(facing, shares));
         return (color * factors).clamp(Vec3::ZERO, Vec3::ONE);
     }
@@ -386,7 +382,7 @@ pub fn shaded_normal(
     let mut confidence = smoothstep(SURFACE_GRADIENT[0], SURFACE_GRADIENT[1], per_reference);
     // Out of the material: down the gradient, which the caller has oriented to where opacity rises.
     let mut normal = normalize_or(-gradient, Vec3::ZERO);
-    if scene.light.two_sided && normal.dot(direction) > 0.0 {
+    if scene.is_lit_on_both_sides() && normal.dot(direction) > 0.0 {
         normal = -normal;
     }
     if scene.settings.normals == Normals::Blended {
@@ -408,12 +404,12 @@ fn light(
     direction: Vec3,
     color: Vec3,
 ) -> Vec3 {
-    let n = facing_the_eye(scene, n, direction);
-    let shares = light_shares(scene, sampler, n, depth, at, direction);
+    let normal = facing_the_eye(scene, n.normal, direction);
+    let shares = light_shares(scene, sampler, (normal, n.confidence), depth, at, direction);
     let light = scene.light.blinn_phong();
     let to_light = scene.frame.to_light;
     let even = Vec3::from(light.even(ISOTROPIC_DIFFUSE, shares));
     let half = normalize_or(to_light - direction, to_light);
-    let lit = light.lit(color, n.normal.dot(to_light), n.normal.dot(half), shares);
+    let lit = light.lit(color, normal.dot(to_light), normal.dot(half), shares);
     (color * even + (lit - color * even) * n.confidence).clamp(Vec3::ZERO, Vec3::ONE)
 }

@@ -24,7 +24,7 @@ use super::edges::{FoundSamples, Neighbours, NewSamples, ShadingRays};
 use super::found::FetchPolicy;
 use super::outline::{Edge, Outline};
 use super::packet::{PacketSampler, SamplePacket};
-use super::{IntensityProjection, MIN_TRANSMITTANCE, Positions, Strip, surface};
+use super::{IntensityProjection, MIN_TRANSMITTANCE, Positions, Strip, surface_shading};
 use crate::math::Bounds;
 use crate::math::lanes::*;
 use crate::picture::RenderStats;
@@ -317,7 +317,8 @@ impl Slicer<'_> {
             if !shows_surfaces {
                 continue;
             }
-            let hit = surface::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
+            let hit =
+                surface_shading::nearest(scene, origin.lane(n), direction.lane(n), &mut stats.samples_taken);
             if let Some(hit) = hit {
                 pixels.until[n] = (hit.t - pixels.shift[n]) * slant[n];
                 pixels.behind[n] = Some(hit.color);
@@ -586,7 +587,14 @@ impl Slicer<'_> {
             let per_mm = step / scene.frame.spacing.step_mm;
             let t = depth_mm * per_mm + pixels.shift[n];
             let (origin, direction) = (pixels.origin.lane(n), pixels.rays.direction.lane(n));
-            let hit = surface::nearest_in_slice(scene, origin, direction, t, step, &mut stats.samples_taken);
+            let hit = surface_shading::nearest_in_slice(
+                scene,
+                origin,
+                direction,
+                t,
+                step,
+                &mut stats.samples_taken,
+            );
             let until = pixels.until[n] * per_mm + pixels.shift[n];
             let Some(hit) = hit.filter(|hit| hit.t < until) else {
                 continue;

@@ -1,4 +1,4 @@
-//! Ray casting of surfaces: signed distance fields under deformation, and triangles where nothing
+//! Traces rays through surfaces: signed distance fields under deformation, and triangles where nothing
 //! deforms them (\[DS07\]; [`crate::model`], "Surfaces").
 //!
 //! *Theory*: a ray passes through the deformed scene. Every sample is carried back through the
@@ -26,17 +26,12 @@
 //!
 //! `shaders/surface.wgsl` and `shaders/lib/surface.wgsl` compute the same.
 
-use super::light::{SOLID_DEPTH, light_shares};
-use super::shading::Normal;
 use crate::deform::{Jet, NearestCut};
-use crate::math::Bounds;
-use crate::math::light::BlinnPhong;
-use crate::math::{normalize_or, smoothstep};
+use crate::math::normalize_or;
 use crate::mesh::MeshHit;
 use crate::prepare::Prepared;
 use crate::prepare::objects::{Stage, SurfaceObject, Triangles};
 use crate::scene::surface::{CutModel, Steps};
-use crate::volume::VolumeSampler;
 use glam::{Mat3, Vec3};
 
 /// Bisections of a step.
@@ -63,15 +58,6 @@ const MIN_STEP: f32 = 1.0 / 65_536.0;
 /// does.
 const MAX_SAMPLES: u32 = 100_000;
 
-/// A ray's hit on the surfaces.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfaceHit {
-    /// Distance along the ray, mm.
-    pub t: f32,
-    /// Lit colour.
-    pub color: Vec3,
-}
-
 /// Which surface was hit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HitSide {
@@ -85,7 +71,7 @@ pub enum HitSide {
 
 /// A sample along a ray.
 #[derive(Clone, Copy)]
-struct SurfaceSample {
+pub(super) struct SurfaceSample {
     t: f32,
     /// f, or f̂ of a thick skin; positive inside.
     f: f32,
@@ -100,52 +86,6 @@ impl SurfaceSample {
         f: -1.0,
         cut: -1.0,
     };
-}
-
-/// The nearest surface along a ray; counts the samples taken in `samples`.
-pub fn nearest(scene: &Prepared, origin: Vec3, direction: Vec3, samples: &mut u64) -> Option<SurfaceHit> {
-    let mut best: Option<SurfaceHit> = None;
-    // Slices sample the others themselves.
-    let objects = scene.surfaces.objects.iter();
-    for object in objects.filter(|object| !scene.is_sliced(object)) {
-        if let Some(hit) = object_hit(scene, object, origin, direction, samples)
-            && best.is_none_or(|b| hit.t < b.t)
-        {
-            best = Some(hit);
-        }
-    }
-    best
-}
-
-/// What a slice shows of the surfaces: the nearest hit on the part of a ray, `step` long, that ends
-/// at `t`, where the slice lies.
-pub fn nearest_in_slice(
-    scene: &Prepared,
-    origin: Vec3,
-    direction: Vec3,
-    t: f32,
-    step: f32,
-    samples: &mut u64,
-) -> Option<SurfaceHit> {
-    let mut best: Option<SurfaceHit> = None;
-    for object in scene.sliced_surfaces() {
-        // Nothing is seen behind the eye.
-        let ends = [(t - step).max(0.0), t];
-        let [a, b] = ends.map(|t| origin + direction * t);
-        let part = Bounds::new(a.min(b), a.max(b));
-        if object.cells.grid.is_empty_block(&part) {
-            continue;
-        }
-        *samples += 2;
-        let [a, b] = ends.map(|t| sample(scene, object, origin, direction, t));
-        let hit = changes(object, &a, &b).then(|| first_event(scene, object, origin, direction, a, b));
-        if let Some((t, side)) = hit.flatten()
-            && best.is_none_or(|best| t < best.t)
-        {
-            best = Some(shade_field(scene, object, origin, direction, t, side));
-        }
-    }
-    best
 }
 
 /// Distance to the nearest surface along a ray, and its normal; without lighting.
@@ -183,41 +123,6 @@ pub fn nearest_side(scene: &Prepared, origin: Vec3, direction: Vec3) -> Option<(
     best
 }
 
-fn object_hit(
-    scene: &Prepared,
-    object: &SurfaceObject,
-    origin: Vec3,
-    direction: Vec3,
-    samples: &mut u64,
-) -> Option<SurfaceHit> {
-    let mut by_field = || {
-        trace(scene, object, origin, direction, samples)
-            .map(|(t, side)| shade_field(scene, object, origin, direction, t, side))
-    };
-    match (object.stage, &object.triangles) {
-        (Stage::Rays, _) | (_, None) => by_field(),
-        (Stage::Triangles, Some(triangles)) => {
-            let hit = triangles
-                .tree
-                .ray(origin, direction, 0.0, f32::INFINITY, |_| true)?;
-            Some(shade_triangle(
-                scene,
-                object,
-                triangles,
-                &hit,
-                [origin, direction],
-            ))
-        }
-        (Stage::Both(seam), Some(triangles)) => {
-            let hit = triangles.tree.ray(origin, direction, 0.0, f32::INFINITY, |h| {
-                is_undeformed(scene, object, origin + direction * h.t, seam)
-            });
-            let drawn = hit.map(|h| shade_triangle(scene, object, triangles, &h, [origin, direction]));
-            blend_seam(scene, object, drawn, by_field(), origin, direction, seam)
-        }
-    }
-}
-
 /// Depth of a point in the deformations' boxes, mm: its largest depth in any box; negative outside
 /// all.
 pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> f32 {
@@ -242,7 +147,7 @@ pub fn depth_in_boxes(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f
 
 /// Whether the triangles are valid at a point: outside the boxes, or within the seam where nothing
 /// moves and nothing is cut.
-fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> bool {
+pub(super) fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -> bool {
     let depth = depth_in_boxes(scene, object, p, seam);
     if depth <= 0.0 {
         return true;
@@ -254,34 +159,6 @@ fn is_undeformed(scene: &Prepared, object: &SurfaceObject, p: Vec3, seam: f32) -
     alpha >= 0.5 && scene.cuts.signed_distance_mm(p) >= 0.0 && source.distance(p) < 0.25 * object.cell_mm
 }
 
-/// Joins triangle and ray hits: the nearer one, or, where both show one surface within the seam, a
-/// blend of their colours.
-fn blend_seam(
-    scene: &Prepared,
-    object: &SurfaceObject,
-    drawn: Option<SurfaceHit>,
-    cast: Option<SurfaceHit>,
-    origin: Vec3,
-    direction: Vec3,
-    seam: f32,
-) -> Option<SurfaceHit> {
-    let (Some(d), Some(c)) = (drawn, cast) else {
-        return drawn.or(cast);
-    };
-    if (d.t - c.t).abs() > 2.0 * object.cell_mm {
-        return Some(if d.t < c.t { d } else { c });
-    }
-    let weight = smoothstep(
-        0.0,
-        seam,
-        depth_in_boxes(scene, object, origin + direction * d.t, seam),
-    );
-    Some(SurfaceHit {
-        t: d.t + (c.t - d.t) * weight,
-        color: d.color.lerp(c.color, weight),
-    })
-}
-
 /// f of the object's cut model, from the value of its field.
 fn apply_cut_model(object: &SurfaceObject, f: f32) -> f32 {
     if object.thickness_mm > 0.0 && f > 0.5 * object.thickness_mm {
@@ -291,7 +168,13 @@ fn apply_cut_model(object: &SurfaceObject, f: f32) -> f32 {
     }
 }
 
-fn sample(scene: &Prepared, object: &SurfaceObject, origin: Vec3, direction: Vec3, t: f32) -> SurfaceSample {
+pub(super) fn sample(
+    scene: &Prepared,
+    object: &SurfaceObject,
+    origin: Vec3,
+    direction: Vec3,
+    t: f32,
+) -> SurfaceSample {
     let p = origin + direction * t;
     let Some(implicit) = &object.implicit else {
         return SurfaceSample {
@@ -408,7 +291,7 @@ pub fn trace(
 }
 
 /// Whether the surface, or the surface of a cut that shows, lies between two samples.
-fn changes(object: &SurfaceObject, a: &SurfaceSample, b: &SurfaceSample) -> bool {
+pub(super) fn changes(object: &SurfaceObject, a: &SurfaceSample, b: &SurfaceSample) -> bool {
     (a.f > 0.0) != (b.f > 0.0) || (object.look.model != CutModel::Hollow && a.cut > 0.0 && b.cut <= 0.0)
 }
 
@@ -469,7 +352,7 @@ fn step_length(
 }
 
 /// The first hit between two samples, if there is one.
-fn first_event(
+pub(super) fn first_event(
     scene: &Prepared,
     object: &SurfaceObject,
     origin: Vec3,
@@ -568,85 +451,9 @@ pub fn normal(scene: &Prepared, object: &SurfaceObject, p: Vec3, side: HitSide) 
     }
 }
 
-fn shade_field(
-    scene: &Prepared,
-    object: &SurfaceObject,
-    origin: Vec3,
-    direction: Vec3,
-    t: f32,
-    side: HitSide,
-) -> SurfaceHit {
-    let normal = normal(scene, object, origin + direction * t, side);
-    let color = Vec3::from(match side {
-        HitSide::Outside => object.look.color,
-        HitSide::Inside => object.look.inside,
-        HitSide::Cut => object.look.cut,
-    });
-    SurfaceHit {
-        t,
-        color: light(scene, object, normal, origin + direction * t, direction, color),
-    }
-}
-
 /// The interpolated normal at a ray's hit on a triangle.
-fn triangle_normal(triangles: &Triangles, hit: &MeshHit) -> Vec3 {
+pub(super) fn triangle_normal(triangles: &Triangles, hit: &MeshHit) -> Vec3 {
     let [a, b, c] = triangles.normals[hit.triangle as usize];
     let [u, v] = hit.barycentric;
     normalize_or(a * (1.0 - u - v) + b * u + c * v, a)
-}
-
-fn shade_triangle(
-    scene: &Prepared,
-    object: &SurfaceObject,
-    triangles: &Triangles,
-    hit: &MeshHit,
-    [origin, direction]: [Vec3; 2],
-) -> SurfaceHit {
-    let normal = triangle_normal(triangles, hit);
-    let color = Vec3::from(if hit.front {
-        object.look.color
-    } else {
-        object.look.inside
-    });
-    let toward_eye = if hit.front { normal } else { -normal };
-    let at = origin + direction * hit.t;
-    SurfaceHit {
-        t: hit.t,
-        color: light(scene, object, toward_eye, at, direction, color),
-    }
-}
-
-/// Blinn-Phong under the scene's light with the object's highlight. A normal that points slightly
-/// away from the eye (an interpolated one at a silhouette) is bent back to the silhouette.
-fn light(
-    scene: &Prepared,
-    object: &SurfaceObject,
-    normal: Vec3,
-    at: Vec3,
-    direction: Vec3,
-    color: Vec3,
-) -> Vec3 {
-    let away = normal.dot(direction).max(0.0);
-    let normal = normalize_or(normal - direction * away, -direction);
-    let to_light = scene.frame.to_light;
-    let half = normalize_or(to_light - direction, to_light);
-    let [specular, shininess] = object.look.highlight;
-    let light = BlinnPhong {
-        specular,
-        shininess,
-        ..scene.light.blinn_phong()
-    };
-    let shares = light_shares(
-        scene,
-        &VolumeSampler::new(scene.volume().grid),
-        Normal {
-            normal,
-            confidence: 1.0,
-        },
-        SOLID_DEPTH,
-        at,
-        direction,
-    );
-    let lit = light.lit(color, normal.dot(to_light), normal.dot(half), shares);
-    lit.clamp(Vec3::ZERO, Vec3::ONE)
 }

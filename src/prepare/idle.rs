@@ -98,20 +98,7 @@ pub fn idle_settings(prepared: &Prepared, scene: &Scene) -> Vec<IdleSetting> {
         );
     }
     slice_settings(prepared, &mut unless);
-    unless(
-        volume && prepared.is_lit() || surfaces,
-        &[
-            "light.follows_camera",
-            "light.direction",
-            "light.azimuth",
-            "light.elevation",
-            "light.ambient",
-            "light.diffuse",
-            "light.key_color",
-            "light.sky_color",
-        ],
-        "nothing is shaded",
-    );
+    light_settings(scene, volume && prepared.is_lit() || surfaces, &mut unless);
     unless(
         volume || rays,
         &["render.empty_space_skipping"],
@@ -186,6 +173,58 @@ fn map_settings(
         !prepared.stack.is_empty(),
         &["render.map_filter"],
         "the scene has no displacement map",
+    );
+}
+
+/// Settings of the light.
+fn light_settings(
+    scene: &Scene,
+    is_shaded: bool,
+    unless: &mut impl FnMut(bool, &[&'static str], &'static str),
+) {
+    unless(
+        is_shaded,
+        &[
+            "light.follows_camera",
+            "light.direction",
+            "light.azimuth",
+            "light.elevation",
+            "light.ambient",
+            "light.diffuse",
+            "light.key_color",
+            "light.sky_color",
+            "light.shadow",
+            "light.occlusion",
+            "light.radius",
+            "light.occlusion_mm",
+            "light.quality",
+        ],
+        "nothing is shaded",
+    );
+    if !is_shaded {
+        return;
+    }
+    let light = &scene.light;
+    unless(
+        light.shadow,
+        &["light.radius"],
+        "the key light casts no shadows (light.shadow)",
+    );
+    unless(
+        light.occlusion,
+        &["light.occlusion_mm"],
+        "the light of the sky is not dimmed (light.occlusion)",
+    );
+    let casts_any = light.shadow || light.occlusion;
+    unless(
+        casts_any,
+        &["light.quality"],
+        "there are no shadows and no occlusion (light.shadow, light.occlusion)",
+    );
+    unless(
+        !casts_any,
+        &["light.two_sided"],
+        "with shadows or occlusion, the light is that on the side that is seen",
     );
 }
 

@@ -14,6 +14,7 @@ mod deformed;
 mod idle;
 pub mod inside;
 mod light_volume;
+mod lighting;
 mod macrocells;
 mod map_assets;
 pub mod measure;
@@ -38,7 +39,7 @@ pub use accelerator::{Accelerator, CpuOnly};
 pub use assets::{AssetKey, Assets, LoadOptions};
 pub use deformed::Deformed;
 pub use idle::{IdleSetting, idle_settings};
-pub use light_volume::LightVolume;
+pub use light_volume::{LightVolume, ReferenceRays};
 pub use macrocells::{CellGrid, CellState, Macrocells, VisibilityCriteria};
 pub use prepared::{Frame, Prepared};
 pub use spacing::SampleSpacing;
@@ -49,7 +50,7 @@ pub use volume::VolumeObject;
 
 use crate::Watch;
 use crate::deform::PlacedMap;
-use crate::scene::{RenderSettings, Scene, VolumeFilter};
+use crate::scene::{Light, LightQuality, RenderSettings, Scene, VolumeFilter};
 
 /// Options for preparing a scene; by default everything on the CPU, without additional maps or
 /// cancellation.
@@ -101,6 +102,15 @@ impl<'a> PrepareOptions<'a> {
             settings.filter = VolumeFilter::Linear;
         }
         settings
+    }
+
+    /// The scene's light for the picture.
+    fn light(&self, scene: &Scene) -> Light {
+        let mut light = scene.light.clone();
+        if self.is_draft {
+            light.quality = LightQuality::Fast;
+        }
+        light
     }
 
     /// The same, for a draft or a full picture.

@@ -77,6 +77,14 @@ pub struct Surfaces {
     pub threshold: f32,
 }
 
+impl Surfaces {
+    /// The finest resolution of an object, mm; infinite if there is none.
+    pub(super) fn finest_cell_mm(&self) -> f32 {
+        let cells = self.objects.iter().map(|o| o.cell_mm);
+        cells.fold(f32::INFINITY, f32::min)
+    }
+}
+
 impl Assets {
     /// Resolves a scene's surfaces.
     ///

@@ -90,6 +90,12 @@ impl<'a> Prepared<'a> {
         self.settings.normals != Normals::None && self.volume().blend == Blend::Composite
     }
 
+    /// Whether surfaces are lit on the side that is seen: as stated, and always where light casts
+    /// shadows, since light on the other side is not seen.
+    pub fn is_lit_on_both_sides(&self) -> bool {
+        self.light.two_sided || self.light_volume.is_some()
+    }
+
     /// Whether cut faces are painted with the scan's grey value.
     pub fn grey_faces(&self) -> bool {
         self.settings.cut_faces == CutFaces::Grey

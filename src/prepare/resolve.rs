@@ -90,11 +90,7 @@ impl<'a> Prepared<'a> {
             assets.surfaces(scene, &deformed.stack, &deformed.cuts)
         })?;
         // Without a volume the step is that of the finest surface.
-        let finest = surfaces
-            .objects
-            .iter()
-            .map(|o| o.cell_mm)
-            .fold(f32::INFINITY, f32::min);
+        let finest = surfaces.finest_cell_mm();
         if !assets.has_volume && finest.is_finite() {
             (spacing.reference_mm, spacing.step_mm) = (finest, settings.step * finest);
         }
@@ -125,7 +121,7 @@ impl<'a> Prepared<'a> {
                 can_fade,
             )
         });
-        let light = scene.light.clone();
+        let light = options.light(scene);
         let to_light = to_light(&light, &view);
         let Deformed {
             stack,
@@ -161,9 +157,7 @@ impl<'a> Prepared<'a> {
             tears,
             stages,
         };
-        let mut stages = std::mem::take(&mut prepared.stages);
-        prepared.light_volume = assets.light_volumes.of(&prepared, options.is_draft, &mut stages);
-        prepared.stages = stages;
+        prepared.add_light_volume(assets, options.is_draft);
         let idle = ineffective_settings(&prepared, scene);
         prepared.notices.extend(idle.iter().map(IdleSetting::notice));
         Ok(prepared)

@@ -72,7 +72,7 @@ pub use work::Work;
 use crate::gpu::{Device, checked, wait};
 use crate::picture::{Picture, RenderStats, Rendered, StageTimes};
 use crate::prepare::Prepared;
-use crate::scene::{Antialias, Mode};
+use crate::scene::{Antialias, LightQuality, Mode};
 use crate::transfer::Blend;
 use crate::{Error, Result, Watch};
 use cache::{SceneBindings, SceneCache};
@@ -283,6 +283,11 @@ impl Renderer {
                 "this GPU renders pictures of at most {} pixels per edge; use a smaller size",
                 limits.max_texture_dimension_2d
             )));
+        }
+        if scene.light_volume.is_some() && scene.light.quality == LightQuality::Reference {
+            return Err(Error::GpuLimit(
+                "only the CPU casts the rays of light.quality = \"reference\"".into(),
+            ));
         }
         if scene.settings.mode == Mode::Slice
             && scene.volume().blend != Blend::Composite

@@ -184,7 +184,7 @@ impl FrameUniform {
             } else {
                 0.0
             },
-            two_sided: u32::from(light.two_sided),
+            two_sided: u32::from(scene.is_lit_on_both_sides()),
             has_holes: u32::from(scene.volume().grid.has_holes),
             early_termination: u32::from(scene.ends_early()),
             grey_low: scene.volume().grey_window[0],

@@ -39,7 +39,7 @@ pub struct Light {
     pub shadow: bool,
     /// Whether the light of the sky is dimmed in hollows.
     pub occlusion: bool,
-    /// How far away matter dims the light of the sky, mm; 15 % of the longest edge of what is
+    /// How far away material dims the light of the sky, mm; 15 % of the longest edge of what is
     /// visible if not stated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub occlusion_mm: Option<f32>,

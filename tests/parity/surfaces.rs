@@ -38,7 +38,7 @@ pub(super) fn surface_depths_agree() {
                 1.0 - ((n / 192) as f32 + 0.5) / 96.0,
             );
             let (o, d) = prepared.frame.view.ray(u, v);
-            let want = cpu::surface::nearest(&prepared, o, d, &mut 0).map_or(f32::INFINITY, |h| h.t);
+            let want = cpu::surface_shading::nearest(&prepared, o, d, &mut 0).map_or(f32::INFINITY, |h| h.t);
             seen += usize::from(want.is_finite());
             if (t - want).abs() > bound || t.is_finite() != want.is_finite() {
                 off += 1;

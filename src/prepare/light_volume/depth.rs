@@ -1,13 +1,11 @@
 //! Samples the optical depth of the deformed scene: its volume, its surfaces and its triangles.
 
+use super::casters::{Casters, SurfaceCaster, VolumeCaster};
 use super::sweep::DepthGrid;
-use crate::deform::{Stack, TexelLine};
+use crate::deform::TexelLine;
 use crate::math::Bounds;
 use crate::math::lanes::*;
-use crate::prepare::objects::{Stage, SurfaceObject};
-use crate::prepare::{Prepared, VolumeObject};
 use crate::scene::surface::CutModel;
-use crate::transfer::Blend;
 use crate::volume::{GradientFilter, VolumeSampler};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -20,36 +18,14 @@ const MAX_SAMPLES: usize = 3;
 /// Cells around what is visible: the outermost nodes are empty, and samples read in front of it.
 const MARGIN: f32 = 3.0;
 
-/// The box that holds everything visible of a scene, mm.
-pub(super) fn visible_box(scene: &Prepared) -> Bounds {
-    let volume = if takes_part(scene) {
-        scene.volume().macrocells.occupied
-    } else {
-        Bounds::EMPTY
-    };
-    let objects = scene.surfaces.objects.iter();
-    objects.fold(volume, |all, object| {
-        let triangles = object
-            .triangles
-            .as_ref()
-            .map_or(Bounds::EMPTY, |t| t.mesh.bounds());
-        all.union(&object.cells.grid.occupied).union(&triangles)
-    })
-}
-
-/// Whether the volume casts shadows.
-pub(super) fn takes_part(scene: &Prepared) -> bool {
-    scene.volume().is_present && scene.is_composite() && !scene.volume().macrocells.occupied.is_empty()
-}
-
-/// Samples a scene with `cells` along the longest edge of its visible box.
-pub(super) fn sampled(scene: &Prepared, visible: &Bounds, cells: f32) -> DepthGrid {
-    let mut cell_mm = visible.size().max_element() / cells;
-    if takes_part(scene) {
+/// Samples what casts shadows, with `cells` along the longest edge of its box.
+pub(super) fn sampled(casters: &Casters, bounds: &Bounds, cells: f32) -> DepthGrid {
+    let mut cell_mm = bounds.size().max_element() / cells;
+    if casters.volume.is_some() {
         // Between voxels there is nothing to be found.
-        cell_mm = cell_mm.max(scene.frame.spacing.reference_mm);
+        cell_mm = cell_mm.max(casters.reference_mm);
     }
-    let bounds = visible.grown(MARGIN * cell_mm);
+    let bounds = bounds.grown(MARGIN * cell_mm);
     let size = ((bounds.size() / cell_mm).ceil().as_uvec3() + 1)
         .to_array()
         .map(|n| n as usize);
@@ -60,17 +36,13 @@ pub(super) fn sampled(scene: &Prepared, visible: &Bounds, cells: f32) -> DepthGr
         depth: vec![0.0; size.iter().product()],
         read: Vec::new(),
     };
-    scene.stack.fetch_texels();
-    if takes_part(scene) {
-        add_volume(scene, &mut grid);
+    casters.stack.fetch_texels();
+    if let Some(volume) = &casters.volume {
+        add_volume(casters, volume, &mut grid);
     }
-    for object in &scene.surfaces.objects {
-        if object.implicit.is_some() && object.stage != Stage::Triangles {
-            add_solid(scene, object, &mut grid);
-        }
-        if object.stage != Stage::Rays {
-            add_triangles(object, &mut grid);
-        }
+    for surface in &casters.surfaces {
+        add_solid(casters, surface, &mut grid);
+        add_triangles(surface, &mut grid);
     }
     empty_faces(&mut grid);
     grid.read = DepthGrid::read_nodes(size, &grid.depth, 0.9 * OPAQUE);
@@ -91,8 +63,8 @@ fn empty_faces(grid: &mut DepthGrid) {
 
 /// Optical depths of the volume along rows of nodes.
 struct VolumeDepths<'a> {
-    scene: &'a Prepared<'a>,
-    volume: &'a VolumeObject<'a>,
+    casters: &'a Casters<'a>,
+    volume: &'a VolumeCaster<'a>,
     sampler: VolumeSampler<'a>,
     cell_mm: f32,
     /// Samples of a cell along each axis.
@@ -100,11 +72,10 @@ struct VolumeDepths<'a> {
     world_from_covector: Mat3,
 }
 
-fn add_volume(scene: &Prepared, grid: &mut DepthGrid) {
-    let volume = scene.volume();
-    let voxel_mm = scene.frame.spacing.reference_mm;
+fn add_volume(casters: &Casters, volume: &VolumeCaster, grid: &mut DepthGrid) {
+    let voxel_mm = casters.reference_mm;
     let depths = VolumeDepths {
-        scene,
+        casters,
         volume,
         sampler: VolumeSampler::new(volume.grid),
         cell_mm: grid.cell_mm,
@@ -151,7 +122,7 @@ impl SimdKernel for VolumeRow<'_> {
             if macrocells.is_empty_block(&Bounds::new(start - half, end + half)) {
                 continue;
             }
-            let line = depths.scene.stack.line(start, Vec3::X * depths.cell_mm);
+            let line = depths.casters.stack.line(start, Vec3::X * depths.cell_mm);
             for along in 0..samples {
                 let start = start + Vec3::X * part(along);
                 for (n, to) in row.chunks_mut(LANES).enumerate() {
@@ -180,15 +151,14 @@ impl VolumeDepths<'_> {
     #[inline(always)]
     fn at<S: Simd>(&self, simd: S, p: Vec3x8<S>, wanted: mask32x8<S>, line: Option<&TexelLine>) -> f32x8<S> {
         let zero = f32x8::splat(simd, 0.0);
-        let stack: &Stack = &self.scene.stack;
         let mut lanes = wanted;
-        if !self.scene.cuts.is_empty() {
+        if !self.casters.cuts.is_empty() {
             for n in lanes_of(wanted.to_bitmask()) {
-                lanes.set(n, self.scene.cuts.signed_distance_mm(p.lane(n)) >= 0.0);
+                lanes.set(n, self.casters.cuts.signed_distance_mm(p.lane(n)) >= 0.0);
             }
         }
-        let walk = stack.source_and_alpha_on_line(simd, p, lanes, line);
-        let in_voxel = walk.source.transformed(&self.volume.voxel_from_world);
+        let walk = self.casters.stack.source_and_alpha_on_line(simd, p, lanes, line);
+        let in_voxel = walk.source.transformed(self.volume.voxel_from_world);
         let top = self.volume.grid_size - 0.5;
         let mut present = lanes
             & walk.alpha.simd_ge(0.5)
@@ -205,9 +175,9 @@ impl VolumeDepths<'_> {
         if let Some(iso) = self.volume.iso {
             return (present & value.simd_ge(iso)).select(f32x8::splat(simd, OPAQUE), zero);
         }
-        let table = &self.volume.table;
+        let table = self.volume.table;
         let mut depth = table.depth_lanes(simd, value);
-        if !table.gradient.is_empty() && self.volume.blend == Blend::Composite {
+        if !table.gradient.is_empty() {
             let visible = (present & depth.simd_gt(0.0)).to_bitmask();
             let per_voxel = self
                 .sampler
@@ -217,34 +187,34 @@ impl VolumeDepths<'_> {
                 depth[n] *= table.gradient_factor(magnitude[n]);
             }
         }
-        let per_cell = self.cell_mm / self.scene.frame.spacing.reference_mm;
+        let per_cell = self.cell_mm / self.casters.reference_mm;
         present.select((depth * per_cell).min(OPAQUE), zero)
     }
 }
 
 /// Adds the inside of a surface, or the wall of a hollow one.
-fn add_solid(scene: &Prepared, object: &SurfaceObject, grid: &mut DepthGrid) {
-    let Some(implicit) = &object.implicit else {
+fn add_solid(casters: &Casters, surface: &SurfaceCaster, grid: &mut DepthGrid) {
+    let Some(implicit) = surface.implicit else {
         return;
     };
     let [nx, ny, _] = grid.size;
     let (origin, cell_mm) = (grid.origin, grid.cell_mm);
     let depth_at = |p: Vec3| -> f32 {
-        if !object.rigid && scene.cuts.signed_distance_mm(p) < 0.0 {
+        if !surface.rigid && casters.cuts.signed_distance_mm(p) < 0.0 {
             return 0.0;
         }
-        let (source, alpha) = if object.rigid {
+        let (source, alpha) = if surface.rigid {
             (p, 1.0)
         } else {
-            scene.stack.source_and_alpha(p)
+            casters.stack.source_and_alpha(p)
         };
         if alpha < 0.5 {
             return 0.0;
         }
         let f = implicit.value(source);
-        let inside = match object.look.model {
+        let inside = match surface.model {
             CutModel::Hollow => 0.5 * cell_mm - f.abs(),
-            _ if object.thickness_mm > 0.0 => f.min(object.thickness_mm - f),
+            _ if surface.thickness_mm > 0.0 => f.min(surface.thickness_mm - f),
             _ => f,
         };
         OPAQUE * (inside / cell_mm + 0.5).clamp(0.0, 1.0)
@@ -252,11 +222,11 @@ fn add_solid(scene: &Prepared, object: &SurfaceObject, grid: &mut DepthGrid) {
     grid.depth.par_chunks_mut(nx).enumerate().for_each(|(n, row)| {
         let first = origin + Vec3::new(0.0, (n % ny) as f32, (n / ny) as f32) * cell_mm;
         let end = first + Vec3::X * (cell_mm * (nx - 1) as f32);
-        if object
+        if surface
             .cells
             .grid
             .is_empty_block(&Bounds::new(first, end).grown(cell_mm))
-            && !is_filled(object)
+            && !is_filled(surface)
         {
             return;
         }
@@ -266,14 +236,14 @@ fn add_solid(scene: &Prepared, object: &SurfaceObject, grid: &mut DepthGrid) {
     });
 }
 
-/// Whether an object is opaque inside: there its cells are empty as well.
-fn is_filled(object: &SurfaceObject) -> bool {
-    object.look.model != CutModel::Hollow && object.thickness_mm <= 0.0
+/// Whether a surface is opaque inside: there its cells are empty as well.
+fn is_filled(surface: &SurfaceCaster) -> bool {
+    surface.model != CutModel::Hollow && surface.thickness_mm <= 0.0
 }
 
 /// Adds the nodes next to triangles.
-fn add_triangles(object: &SurfaceObject, grid: &mut DepthGrid) {
-    let Some(triangles) = &object.triangles else {
+fn add_triangles(surface: &SurfaceCaster, grid: &mut DepthGrid) {
+    let Some(triangles) = surface.triangles else {
         return;
     };
     let [nx, ny, nz] = grid.size;

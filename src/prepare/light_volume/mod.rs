@@ -16,27 +16,33 @@
 //! depend on the scene, the occlusion on them and its reach, the shadow on them and the light's
 //! direction.
 
+mod casters;
 mod depth;
 mod directions;
 mod padding;
 mod sweep;
 
-use super::objects::{SurfaceObject, Triangles};
+pub use casters::{Casters, SurfaceCaster, VolumeCaster};
+
+use super::Macrocells;
+use super::object_cache::Triangles;
 use super::surface_cells::SurfaceCells;
-use super::{Macrocells, Prepared};
 use crate::math::Bounds;
 use crate::math::cells::{Cells, mix_texels};
 use crate::math::lanes::*;
 use crate::picture::StageTimes;
+use crate::scene::{Light, LightQuality};
 use glam::Vec3;
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use sweep::{DepthGrid, Reach};
 
 /// How far in front of a surface its light is read, cells.
 const OFFSET_CELLS: f32 = 1.5;
 /// Axes of the directions over which occlusion is averaged: two directions each.
 const OCCLUSION_AXES: usize = 48;
+/// These axes.
+static AXES: LazyLock<Vec<Vec3>> = LazyLock::new(|| directions::axes(OCCLUSION_AXES));
 /// Directions over which the disc of a light is averaged.
 const DISC_DIRECTIONS: usize = 16;
 /// Rays of a reference: as many as its directions.
@@ -60,8 +66,8 @@ pub struct LightVolume {
     pub cell_mm: f32,
     /// S and `V_raw`, as shares of 32767; x fastest.
     texels: Vec<[i16; 4]>,
-    /// Rays that measure the same at a point.
-    pub rays: ReferenceRays,
+    /// Rays that measure the same at a point, if the light is of that quality.
+    pub rays: Option<ReferenceRays>,
 }
 
 /// The rays of a reference: many at each point.
@@ -132,7 +138,7 @@ struct DepthKey {
     /// Known by the address of what was derived from the same inputs, which this keeps alive.
     macrocells: Option<Arc<Macrocells>>,
     surfaces: Vec<(Arc<SurfaceCells>, Option<Arc<Triangles>>)>,
-    visible: Bounds,
+    bounds: Bounds,
     cells: f32,
     gradient: Vec<f32>,
 }
@@ -146,7 +152,7 @@ impl PartialEq for DepthKey {
         same(self.macrocells.as_ref(), other.macrocells.as_ref())
             && self.surfaces.len() == other.surfaces.len()
             && surfaces.all(|(a, b)| Arc::ptr_eq(&a.0, &b.0) && same(a.1.as_ref(), b.1.as_ref()))
-            && (self.visible, self.cells) == (other.visible, other.cells)
+            && (self.bounds, self.cells) == (other.bounds, other.cells)
             && self.gradient == other.gradient
     }
 }
@@ -159,7 +165,7 @@ struct Entry {
     /// Mean transmittances, and the directions and reach that they are of.
     shadow: Option<(Vec<Vec3>, Arc<Vec<f32>>)>,
     occlusion: Option<(f32, Arc<Vec<f32>>)>,
-    combined: Option<Arc<LightVolume>>,
+    combined: Option<(LightQuality, Arc<LightVolume>)>,
 }
 
 /// Light volumes, the most recently used last.
@@ -167,27 +173,29 @@ struct Entry {
 pub struct LightVolumeCache(Mutex<Vec<Entry>>);
 
 impl LightVolumeCache {
-    /// The light volume of a scene, if its light casts shadows or is occluded and anything is lit.
+    /// The light volume of what casts shadows under a light, if that is asked for and there is
+    /// anything.
     pub(super) fn of(
         &self,
-        scene: &Prepared,
+        casters: &Casters,
+        light: &Light,
+        to_light: Vec3,
         is_draft: bool,
         stages: &mut StageTimes,
     ) -> Option<Arc<LightVolume>> {
-        let light = &scene.light;
-        let is_lit = scene.is_lit() || !scene.surfaces.objects.is_empty();
-        let visible = depth::visible_box(scene);
-        if !(light.shadow || light.occlusion) || !is_lit || visible.is_empty() {
+        let bounds = casters.bounds();
+        if !(light.shadow || light.occlusion) || bounds.is_empty() {
             return None;
         }
         let cells = CELLS[usize::from(is_draft)];
-        let of_surface = |object: &SurfaceObject| (object.cells.clone(), object.triangles.clone());
+        let of_surface = |surface: &SurfaceCaster| (surface.cells.clone(), surface.triangles.cloned());
+        let volume = casters.volume.as_ref();
         let key = DepthKey {
-            macrocells: depth::takes_part(scene).then(|| scene.volume().macrocells.clone()),
-            surfaces: scene.surfaces.objects.iter().map(of_surface).collect(),
-            visible,
+            macrocells: volume.map(|v| v.macrocells.clone()),
+            surfaces: casters.surfaces.iter().map(of_surface).collect(),
+            bounds,
             cells,
-            gradient: scene.volume().table.gradient.clone(),
+            gradient: volume.map_or(Vec::new(), |v| v.table.gradient.clone()),
         };
         // Entries are only replaced as a whole.
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -197,13 +205,13 @@ impl LightVolumeCache {
             at.map(|at| entries.remove(at))
         };
         let mut entry = found.unwrap_or_else(|| Entry {
-            depths: Arc::new(stages.time("light depths", || depth::sampled(scene, &visible, cells))),
+            depths: Arc::new(stages.time("light depths", || depth::sampled(casters, &bounds, cells))),
             key,
             shadow: None,
             occlusion: None,
             combined: None,
         });
-        let volume = entry.light_volume(scene, visible.size().max_element(), stages);
+        let volume = entry.light_volume(light, to_light, bounds.size().max_element(), stages);
         let mut entries = lock();
         if entries.len() == MAX_CACHED {
             entries.remove(0);
@@ -214,18 +222,17 @@ impl LightVolumeCache {
 }
 
 impl Entry {
-    /// The light volume under the scene's light; `longest_mm` is the longest edge of what is
-    /// visible.
+    /// The light volume under a light; `longest_mm` is the longest edge of what casts shadows.
     fn light_volume(
         &mut self,
-        scene: &Prepared,
+        light: &Light,
+        to_light: Vec3,
         longest_mm: f32,
         stages: &mut StageTimes,
     ) -> Arc<LightVolume> {
-        let light = &scene.light;
         let depths = self.depths.clone();
         let directions = if light.shadow {
-            directions::toward_disc(scene.frame.to_light, light.radius, DISC_DIRECTIONS)
+            directions::toward_disc(to_light, light.radius, DISC_DIRECTIONS)
         } else {
             Vec::new()
         };
@@ -248,9 +255,7 @@ impl Entry {
         if self.occlusion.as_ref().is_none_or(|(of, _)| *of != reach_mm) {
             let all = if reach_mm > 0.0 {
                 let reach = Reach::BothWays(reach_mm / depths.cell_mm);
-                stages.time("occlusion", || {
-                    depths.mean_transmittance(&directions::axes(OCCLUSION_AXES), reach)
-                })
+                stages.time("occlusion", || depths.mean_transmittance(&AXES, reach))
             } else {
                 Vec::new()
             };
@@ -268,22 +273,25 @@ impl Entry {
                 .into_par_iter()
                 .map(|n| [stored(shadow, n), stored(open, n), 0, 0])
                 .collect();
-            let toward_light = if light.shadow {
-                directions::toward_disc(scene.frame.to_light, light.radius, REFERENCE_RAYS)
-            } else {
-                Vec::new()
-            };
-            let around = if light.occlusion {
-                directions::axes(REFERENCE_RAYS / 2)
-            } else {
-                Vec::new()
-            };
-            Arc::new(LightVolume {
-                rays: ReferenceRays {
+            let rays = (light.quality == LightQuality::Reference).then(|| {
+                let toward_light = if light.shadow {
+                    directions::toward_disc(to_light, light.radius, REFERENCE_RAYS)
+                } else {
+                    Vec::new()
+                };
+                let around = if light.occlusion {
+                    directions::axes(REFERENCE_RAYS / 2)
+                } else {
+                    Vec::new()
+                };
+                ReferenceRays {
                     toward_light,
                     around: around.iter().flat_map(|&d| [d, -d]).collect(),
                     reach_mm,
-                },
+                }
+            });
+            Arc::new(LightVolume {
+                rays,
                 size: depths.size,
                 origin: depths.origin,
                 cell_mm: depths.cell_mm,
@@ -291,10 +299,10 @@ impl Entry {
             })
         };
         let combined = match self.combined.take() {
-            Some(combined) => combined,
-            None => stages.time("light", combine),
+            Some((quality, combined)) if quality == light.quality => combined,
+            _ => stages.time("light", combine),
         };
-        self.combined = Some(combined.clone());
+        self.combined = Some((light.quality, combined.clone()));
         combined
     }
 }

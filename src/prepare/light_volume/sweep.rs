@@ -43,7 +43,7 @@ pub(super) enum Reach {
 
 /// Resolution of a transmittance.
 const UNITS: f32 = 1024.0;
-/// Cells around matter in which light is read: in front of it, at the nodes around such a point, and
+/// Cells around material in which light is read: in front of it, at the nodes around such a point, and
 /// farther out by those that are padded.
 const READ_AROUND: usize = 4;
 /// Cells into what is opaque after which nothing is seen.
@@ -121,12 +121,12 @@ impl DepthGrid {
         mean
     }
 
-    /// Marks the nodes near which light is read: around matter, as far as it is seen.
+    /// Marks the nodes near which light is read: around material, as far as it is seen.
     pub fn read_nodes(size: [usize; 3], depth: &[f32], opaque: f32) -> Vec<bool> {
-        let matter: Vec<bool> = depth.iter().map(|d| *d > 0.0).collect();
+        let filled: Vec<bool> = depth.iter().map(|d| *d > 0.0).collect();
         let thin: Vec<bool> = depth.iter().map(|d| *d < opaque).collect();
         let (near, seen) = rayon::join(
-            || spread(size, matter, READ_AROUND),
+            || spread(size, filled, READ_AROUND),
             || spread(size, thin, SEEN_INTO),
         );
         near.iter().zip(&seen).map(|(a, b)| *a && *b).collect()

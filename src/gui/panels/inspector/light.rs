@@ -70,6 +70,19 @@ pub(super) fn show_light(ui: &mut Ui, light: &mut Light) {
         "shininess",
         "Specular exponent; higher is tighter",
     );
+    ui.checkbox(&mut light.shadow, "Shadows")
+        .on_hover_text("The key light casts shadows, through every deformation and cut");
+    if light.shadow {
+        slider(
+            ui,
+            &mut light.radius,
+            0.0..=20.0,
+            "radius",
+            "Angular radius of the key light in degrees; larger casts softer shadows",
+        );
+    }
+    ui.checkbox(&mut light.occlusion, "Ambient occlusion")
+        .on_hover_text("The light of the sky is dimmed in hollows");
     ui.checkbox(&mut light.follows_camera, "Headlight (moves with the camera)");
 }
 
