@@ -92,13 +92,13 @@ fn open_share(from: Vec3, reach: f32, inside: &dyn Fn(Vec3) -> bool) -> f32 {
 /// shares are slightly larger.
 pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
     let far = |p: Vec3| p.x > 60.0 && p.y > 60.0 && p.z < -60.0;
-    let reach = 40.0;
     for turn in [
         DQuat::IDENTITY,
         DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 0.3),
     ] {
         let place = |p: Vec3| (turn * p.as_dvec3()).as_vec3();
         let check = |what: &str,
+                     reach: f32,
                      inside: &dyn Fn(Vec3) -> bool,
                      points: &[(Vec3, Vec3)],
                      closed: &dyn Fn(Vec3) -> f32| {
@@ -127,27 +127,30 @@ pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
         let block = |p: Vec3| p.abs().max_element() < 45.0;
         check(
             "a corner",
+            19.0,
             &|p| (p.x < 0.0 || p.z < 0.0) && block(p),
             &[
-                (Vec3::new(1.0, 0.0, 0.0), Vec3::Z),
+                (Vec3::new(2.0, 0.0, 0.0), Vec3::Z),
                 (Vec3::new(4.0, 2.0, 0.0), Vec3::Z),
                 (Vec3::new(0.0, -5.0, 1.5), Vec3::X),
             ],
             // Within a reach R, a plane at the distance d hides (1 - d / R) / 2.
-            &|at| (1.0 + at.x / reach) * (1.0 + at.z / reach) / 4.0,
+            &|at| (1.0 + at.x / 19.0) * (1.0 + at.z / 19.0) / 4.0,
         );
-        // The slot is 8 mm wide and 8 mm deep.
+        // 16 mm wide and 16 mm deep.
         check(
             "a slot",
-            &|p| (p.z < 0.0 || p.z < 8.0 && p.x.abs() > 4.0) && block(p),
+            60.0,
+            &|p| (p.z < 0.0 || p.z < 16.0 && p.x.abs() > 8.0) && block(p),
             &[(Vec3::new(0.0, 0.0, 0.0), Vec3::Z)],
-            &|at| (4.0f32).atan2(8.0 - at.z) / std::f32::consts::PI,
+            &|at| (8.0f32).atan2(16.0 - at.z) / std::f32::consts::PI,
         );
         check(
             "a bowl",
-            &|p| p.z < 0.0 && p.length() > 12.0 && block(p),
-            &[(Vec3::new(0.0, 0.0, -12.0), Vec3::Z)],
-            &|at| (1.0 - (12.0f32).atan2(0.0 - at.z).cos()) / 2.0,
+            60.0,
+            &|p| p.z < 0.0 && p.length() > 20.0 && block(p),
+            &[(Vec3::new(0.0, 0.0, -20.0), Vec3::Z)],
+            &|at| (1.0 - (20.0f32).atan2(0.0 - at.z).cos()) / 2.0,
         );
     }
 }
@@ -164,7 +167,7 @@ pub fn open_faces_stay_bright() {
                 solid([120, 120, 40], turn, |p| {
                     p.abs().max_element() < 50.0 && p.z.abs() < 8.0
                 }),
-                40.0,
+                60.0,
             ),
             ("a ball", solid([120; 3], turn, |p| p.length() < 50.0), 25.0),
         ];

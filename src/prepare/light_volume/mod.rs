@@ -40,7 +40,7 @@ use sweep::{DepthGrid, Reach};
 /// How far in front of a surface its light is read, cells.
 const OFFSET_CELLS: f32 = 1.5;
 /// Axes of the directions over which occlusion is averaged: two directions each.
-const OCCLUSION_AXES: usize = 48;
+const OCCLUSION_AXES: usize = 64;
 /// These axes.
 static AXES: LazyLock<Vec<Vec3>> = LazyLock::new(|| directions::axes(OCCLUSION_AXES));
 /// Directions over which the disc of a light is averaged.
