@@ -115,7 +115,7 @@ pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
                     "{what} at {at}: V_raw {got:.4}, by the closed form {closed:.4}, by directions {exact:.4}"
                 );
                 assert!(
-                    (exact / closed - 1.0).abs() <= 0.04,
+                    (exact / closed - 1.0).abs() <= 0.05,
                     "{what} at {at}: {exact}, not {closed}"
                 );
                 assert!(
@@ -141,7 +141,12 @@ pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
         check(
             "a slot",
             60.0,
-            &|p| (p.z < 0.0 || p.z < 16.0 && p.x.abs() > 8.0) && block(p),
+            &|p| {
+                (p.z < 0.0 || p.z < 16.0 && p.x.abs() > 8.0)
+                    && p.x.abs() < 45.0
+                    && p.y.abs() < 62.0
+                    && p.z > -45.0
+            },
             &[(Vec3::new(0.0, 0.0, 0.0), Vec3::Z)],
             &|at| (8.0f32).atan2(16.0 - at.z) / std::f32::consts::PI,
         );
@@ -167,7 +172,7 @@ pub fn open_faces_stay_bright() {
                 solid([120, 120, 40], turn, |p| {
                     p.abs().max_element() < 50.0 && p.z.abs() < 8.0
                 }),
-                60.0,
+                40.0,
             ),
             ("a ball", solid([120; 3], turn, |p| p.length() < 50.0), 25.0),
         ];

@@ -233,7 +233,7 @@ fn shadows_agree() {
         let prepared = Prepared::new(&scene, &assets).unwrap();
         let lit = cpu::render(&prepared).picture;
         let d = difference(&plain, &lit).unwrap();
-        assert!(d.mean > STEP, "{what}: {}/255 by shadows", d.mean / STEP);
+        assert!(d.mean > 0.2 * STEP, "{what}: {}/255 by shadows", d.mean / STEP);
         agree(&format!("{what} with shadows"), &prepared);
     };
     check("rays", "head-peel", &|_| ());
