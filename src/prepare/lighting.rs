@@ -35,7 +35,7 @@ impl Prepared<'_> {
         Casters {
             stack: &self.stack,
             cuts: &self.cuts,
-            volume: is_seen.then(|| VolumeCaster {
+            volume: is_seen.then_some(VolumeCaster {
                 grid: volume.grid,
                 voxel_from_world: &volume.voxel_from_world,
                 grid_size: volume.grid_size,

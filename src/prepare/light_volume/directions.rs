@@ -57,20 +57,17 @@ mod tests {
     #[test]
     fn axes_are_spread_evenly() {
         let all = axes(48);
-        let nearest = |n: usize| {
+        let nearest = |n: usize, axis: &Vec3| {
             let others = all.iter().enumerate().filter(|(m, _)| *m != n);
             others
-                .map(|(_, other)| all[n].dot(*other).abs().min(1.0).acos())
+                .map(|(_, other)| axis.dot(*other).abs().min(1.0).acos())
                 .fold(f32::INFINITY, f32::min)
         };
         // 96 circles that cover 75 % of the sphere.
         let want = 2.0 * (1.0 - 2.0 * 0.75 / 96.0f32).acos();
-        for n in 0..all.len() {
-            assert!(
-                all[n].is_normalized() && nearest(n) > want,
-                "{n}: {} of {want}",
-                nearest(n)
-            );
+        for (n, axis) in all.iter().enumerate() {
+            let apart = nearest(n, axis);
+            assert!(axis.is_normalized() && apart > want, "{n}: {apart} of {want}");
         }
     }
 
