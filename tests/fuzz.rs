@@ -92,11 +92,23 @@ const WORDS: [&str; 8] = [
     "a very long name indeed, longer than any that a person gives",
 ];
 
+/// Keys added after the first ones of their section: drawn apart, so that all else of a scene of some
+/// number stays what it was.
+const LATER_KEYS: [&str; 5] = [
+    "light.radius",
+    "light.shadow",
+    "light.occlusion",
+    "light.occlusion_mm",
+    "light.quality",
+];
+
 /// Generates scenes.
 struct Maker<'a> {
     schema: &'a Schema,
     files: &'a Files,
     random: Random,
+    /// The choices about keys of [`LATER_KEYS`].
+    later: Random,
     /// Probability that a key is stated, and that a value is extreme.
     stated: f64,
     extreme: f64,
@@ -158,21 +170,28 @@ impl Maker<'_> {
                 ("mesh", _) => 0.15,
                 _ => self.stated,
             };
-            if self.random.chance(wanted) {
-                let within = if path.is_empty() {
-                    key.clone()
-                } else {
-                    format!("{path}.{key}")
-                };
-                if let Some(value) = self.value(of_key, key, &within) {
-                    table.insert(key.clone(), value);
-                }
+            let within = if path.is_empty() {
+                key.clone()
+            } else {
+                format!("{path}.{key}")
+            };
+            let is_later = LATER_KEYS.contains(&within.as_str());
+            if is_later {
+                std::mem::swap(&mut self.random, &mut self.later);
+            }
+            if self.random.chance(wanted)
+                && let Some(value) = self.value(of_key, key, &within)
+            {
+                table.insert(key.clone(), value);
+            }
+            if is_later {
+                std::mem::swap(&mut self.random, &mut self.later);
             }
         }
         match path {
             "mesh" => self.made_of_something(&mut table),
             // Rays for each sample take seconds.
-            "light" if self.random.chance(0.95) => table.retain(|key, _| key != "quality"),
+            "light" if self.later.chance(0.95) => table.retain(|key, _| key != "quality"),
             // What is computed has no options of files.
             "volume"
                 if table
@@ -556,6 +575,7 @@ pub fn random_scenes_do_no_harm() {
         let mut maker = Maker {
             schema: &schema,
             files: &files,
+            later: Random(random.0 ^ 0x5851_f42d_4c95_7f2d),
             random,
             stated,
             extreme,

@@ -1,6 +1,6 @@
 //! Directions spread evenly over a sphere, or over the disc of a light.
 
-use glam::Vec3;
+use glam::{EulerRot, Quat, Vec3};
 use std::f32::consts::PI;
 
 /// The angle between neighbours of a spiral of evenly spread points, radians (Vogel 1979).
@@ -9,8 +9,13 @@ const GOLDEN_ANGLE: f32 = 2.399_963_2;
 /// Rounds in which axes are moved apart.
 const ROUNDS: i32 = 200;
 
+/// Angles about x, y and z by which axes are turned, radians: none of the symmetries of the spiral then
+/// lies along an axis of a scan, where most planes and hollows do. Of 1500, those with which 64 axes
+/// measure corners, slots and cones along the axes best (within 4.3 %).
+const TURN: [f32; 3] = [1.4, 0.1, 1.4];
+
 /// `count` axes whose two directions are spread evenly over the sphere: equal areas along a spiral
-/// over one hemisphere, then moved apart as charges are.
+/// over one hemisphere, then moved apart as charges are, and turned.
 pub(super) fn axes(count: usize) -> Vec<Vec3> {
     let along = |n: usize| {
         let height = (n as f32 + 0.5) / count as f32;
@@ -31,7 +36,8 @@ pub(super) fn axes(count: usize) -> Vec<Vec3> {
         });
         all = moved.collect();
     }
-    all
+    let turn = Quat::from_euler(EulerRot::XYZ, TURN[0], TURN[1], TURN[2]);
+    all.into_iter().map(|axis| (turn * axis).normalize()).collect()
 }
 
 /// Directions towards a light that looks like a disc of the given angular radius: `count` of them,
