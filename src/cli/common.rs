@@ -133,8 +133,9 @@ pub struct Common {
     /// inside.
     #[arg(long, value_name = "MESH")]
     inside: Option<PathBuf>,
-    /// The light: a preset (see incise list), then settings, or either: azimuth= and elevation= of
-    /// the key light in degrees, key= and sky= for the strength of each (0 to 1).
+    /// The light: a preset (see incise list), then settings, or either: azimuth=, elevation= and
+    /// radius= of the key light in degrees, key= and sky= for the strength of each (0 to 1), shadow=
+    /// and occlusion= (on or off), quality= (fast or reference).
     #[arg(long, value_name = "PRESET|key=value,...")]
     light: Option<String>,
     /// R,G,B[,A] (0..1 or 0..255), #rrggbb or transparent.
