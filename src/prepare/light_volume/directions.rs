@@ -69,8 +69,8 @@ mod tests {
                 .map(|(_, other)| axis.dot(*other).abs().min(1.0).acos())
                 .fold(f32::INFINITY, f32::min)
         };
-        // 96 circles that cover 75 % of the sphere.
-        let want = 2.0 * (1.0 - 2.0 * 0.75 / 96.0f32).acos();
+        // 96 circles that cover 70 % of the sphere; of the spiral alone they cover 25 %.
+        let want = 2.0 * (1.0 - 2.0 * 0.7 / 96.0f32).acos();
         for (n, axis) in all.iter().enumerate() {
             let apart = nearest(n, axis);
             assert!(axis.is_normalized() && apart > want, "{n}: {apart} of {want}");
