@@ -5,6 +5,7 @@
 
 use super::lanes::*;
 use glam::Vec3;
+use std::ops::Mul;
 
 /// Coefficients of a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,15 +37,9 @@ impl LightShares<f32> {
 }
 
 /// The number types of the lighting code: one number, or eight.
-pub trait LightNumber: Copy {
+pub trait LightNumber: Copy + Mul<Output = Self> + Mul<f32, Output = Self> {
     /// `self · factor + summand` where `self` is positive, else `summand`.
     fn positive_times_plus(self, factor: f32, summand: Self) -> Self;
-
-    /// Products.
-    fn times(self, factor: Self) -> Self;
-
-    /// Products.
-    fn scaled(self, factor: f32) -> Self;
 
     /// `strength · cosine ^ exponent` where the surface faces the light (`facing` is positive) and
     /// the cosine is positive, else 0.
@@ -55,16 +50,6 @@ impl LightNumber for f32 {
     #[inline(always)]
     fn positive_times_plus(self, factor: f32, summand: Self) -> Self {
         summand + factor * self.max(0.0)
-    }
-
-    #[inline(always)]
-    fn times(self, factor: Self) -> Self {
-        self * factor
-    }
-
-    #[inline(always)]
-    fn scaled(self, factor: f32) -> Self {
-        self * factor
     }
 
     #[inline(always)]
@@ -81,16 +66,6 @@ impl<S: Simd> LightNumber for f32x8<S> {
     #[inline(always)]
     fn positive_times_plus(self, factor: f32, summand: Self) -> Self {
         self.max(0.0).mul_add(factor, summand)
-    }
-
-    #[inline(always)]
-    fn times(self, factor: Self) -> Self {
-        self * factor
-    }
-
-    #[inline(always)]
-    fn scaled(self, factor: f32) -> Self {
-        self * factor
     }
 
     #[inline(always)]
@@ -124,14 +99,14 @@ impl BlinnPhong {
     #[inline(always)]
     pub fn shine<N: LightNumber>(&self, facing: N, cosine: N, shares: LightShares<N>) -> ([N; 3], N) {
         let [r, g, b] = self.ambient;
-        let lit = facing.times(shares.key);
+        let lit = facing * shares.key;
         (
             [
-                lit.positive_times_plus(self.diffuse[0], shares.sky.scaled(r)),
-                lit.positive_times_plus(self.diffuse[1], shares.sky.scaled(g)),
-                lit.positive_times_plus(self.diffuse[2], shares.sky.scaled(b)),
+                lit.positive_times_plus(self.diffuse[0], shares.sky * r),
+                lit.positive_times_plus(self.diffuse[1], shares.sky * g),
+                lit.positive_times_plus(self.diffuse[2], shares.sky * b),
             ],
-            N::highlight(facing, cosine, self.specular, self.shininess).times(shares.key),
+            N::highlight(facing, cosine, self.specular, self.shininess) * shares.key,
         )
     }
 
@@ -147,9 +122,9 @@ impl BlinnPhong {
         let [r, g, b] = self.ambient;
         let [x, y, z] = self.diffuse;
         [
-            shares.key.positive_times_plus(part * x, shares.sky.scaled(r)),
-            shares.key.positive_times_plus(part * y, shares.sky.scaled(g)),
-            shares.key.positive_times_plus(part * z, shares.sky.scaled(b)),
+            shares.key.positive_times_plus(part * x, shares.sky * r),
+            shares.key.positive_times_plus(part * y, shares.sky * g),
+            shares.key.positive_times_plus(part * z, shares.sky * b),
         ]
     }
 }

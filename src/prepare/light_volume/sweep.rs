@@ -309,7 +309,7 @@ impl SimdKernel for Sweep<'_> {
             }
             for k in first..=last {
                 let (node, part) = along.at(k);
-                let start = first_column(across.at(k));
+                let start = first_column(across.at(k).0);
                 columns.transmit(simd, depths, reach, k, row + node, start);
                 // The nodes between these columns and those of the row before.
                 let at = row + node;
@@ -322,9 +322,9 @@ impl SimdKernel for Sweep<'_> {
     }
 }
 
-/// The column before the first node of a slice, where column 0 is the given nodes after the first,
-/// in a row with empty columns on both sides.
-fn first_column((first_node, _): (isize, f32)) -> usize {
+/// The column before the first node of a slice in which column 0 follows the node `first_node`, among
+/// the columns of a row with its empty ones.
+fn first_column(first_node: isize) -> usize {
     (PADDING as isize - first_node - 1) as usize
 }
 
@@ -390,7 +390,7 @@ impl Columns {
                 n += LANES;
             }
             // Whole lanes from the column before the first node on.
-            let mut column = first_column((first_node, beyond)) / LANES * LANES;
+            let mut column = first_column(first_node) / LANES * LANES;
             let mut node = (column as isize + first_node) as usize;
             let end = (column + depths.stride + PADDING).min(self.width);
             while column < end {

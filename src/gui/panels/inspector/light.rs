@@ -78,7 +78,7 @@ pub(super) fn show_light(ui: &mut Ui, light: &mut Light) {
             &mut light.radius,
             0.0..=20.0,
             "radius",
-            "Angular radius of the key light in degrees; larger casts softer shadows",
+            "Angular radius of the key light in degrees; a larger one casts softer shadows",
         );
     }
     ui.checkbox(&mut light.occlusion, "Ambient occlusion")
