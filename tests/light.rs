@@ -96,6 +96,9 @@ pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
         DQuat::IDENTITY,
         DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.7, 0.3),
     ] {
+        // Faces in line with the grid end up to half a cell from where they are, all of them alike,
+        // and 128 directions meet a slot along an axis with an error of 7 %.
+        let bound = if turn == DQuat::IDENTITY { 0.1 } else { 0.05 };
         let place = |p: Vec3| (turn * p.as_dvec3()).as_vec3();
         let check = |what: &str,
                      reach: f32,
@@ -119,7 +122,7 @@ pub fn occlusion_of_a_corner_a_slot_and_a_bowl() {
                     "{what} at {at}: {exact}, not {closed}"
                 );
                 assert!(
-                    (got / exact - 1.0).abs() <= 0.1,
+                    (got / exact - 1.0).abs() <= bound,
                     "{what} at {at}: {got}, not {exact}"
                 );
             }
